@@ -1,0 +1,26 @@
+//! Copies bytes between the UARTs and signs nothing: what the demonstration must not mistake for
+//! the relay.
+
+#![no_std]
+#![no_main]
+
+use cortex_m_rt::entry;
+use embedded_io::{Read, ReadReady, Write};
+use mavseal_qemu_m7::{Uart, info, uarts};
+
+#[entry]
+fn main() -> ! {
+    let [mut plain, mut secure] = uarts();
+    info!("Echo: copies, signs nothing");
+    loop {
+        copy(&mut plain, &mut secure);
+        copy(&mut secure, &mut plain);
+    }
+}
+
+fn copy(from: &mut Uart, to: &mut Uart) {
+    let mut byte = [0];
+    if from.read_ready() == Ok(true) && from.read(&mut byte) == Ok(1) {
+        let _ = to.write_all(&byte);
+    }
+}

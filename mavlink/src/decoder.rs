@@ -1,0 +1,261 @@
+//! Bytes of a serial line in, packets out.
+
+use heapless::Vec;
+
+use crate::crc::checksum;
+use crate::error::ParseError;
+use crate::field::{CHECKED, CHECKSUM_SIZE, HEADER_SIZE_V1, MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
+use crate::frame::FrameRef;
+use crate::header::MessageId;
+
+/// A MAVLink 1 packet with a right checksum. It cannot be signed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mavlink1<'a> {
+    bytes: &'a [u8],
+    header: &'a [u8; HEADER_SIZE_V1],
+}
+
+impl<'a> Mavlink1<'a> {
+    /// The packet at the front of `bytes`, which begin with its magic byte.
+    fn parse(bytes: &'a [u8]) -> Option<Self> {
+        let header = bytes.first_chunk()?;
+        let &[_, payload_length, ..]: &[u8; HEADER_SIZE_V1] = header;
+        let size = HEADER_SIZE_V1 + usize::from(payload_length) + CHECKSUM_SIZE;
+        let bytes = bytes.get(..size)?;
+        Some(Self { bytes, header })
+    }
+
+    fn checksum_matches(&self, crc_extra: u8) -> bool {
+        let Some((before, expected)) = self.bytes.split_last_chunk() else {
+            return false;
+        };
+        let checked = before.get(CHECKED..).unwrap_or_default();
+        u16::from_le_bytes(*expected) == checksum(checked, crc_extra)
+    }
+
+    /// Which message it carries: 0 to 255.
+    #[must_use]
+    pub fn message_id(&self) -> MessageId {
+        let &[_, _, _, _, _, id] = self.header;
+        id.into()
+    }
+
+    /// The whole packet as received, 8 to 263 bytes.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+}
+
+/// A packet with a right checksum, as what it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Packet<'a> {
+    /// A MAVLink 2 frame, signed or not.
+    Mavlink2(FrameRef<'a>),
+    /// A MAVLink 1 packet.
+    Mavlink1(Mavlink1<'a>),
+}
+
+/// Why something that began like a packet is none. A damaged line, noise, or another dialect.
+///
+/// Only its magic byte is dropped, what follows is looked at again: a packet that noise or a
+/// damaged packet seems to contain is not lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// Incompatibility flags that this library does not know: its length cannot be told.
+    UnknownIncompatFlags(u8),
+    /// Not in the dialect, so that the checksum cannot be told right from wrong.
+    UnknownMessage(MessageId),
+    /// Not the checksum of a message with this id.
+    BadChecksum(MessageId),
+}
+
+impl core::fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::UnknownIncompatFlags(flags) => ParseError::UnknownIncompatFlags(*flags).fmt(f),
+            Self::UnknownMessage(id) => write!(f, "message {id} is not in the dialect"),
+            Self::BadChecksum(id) => write!(f, "bad checksum for message {id}"),
+        }
+    }
+}
+
+impl core::error::Error for DecodeError {}
+
+/// Finds the packets in a stream of bytes.
+///
+/// Holds at most the 280 bytes of one frame. What it finds does not depend on how the stream is
+/// cut into calls of [`write`](Self::write).
+///
+/// ```
+/// use mavlink_signing::{Decoder, Packet, dialect::crc_extra};
+///
+/// let heartbeat = [
+///     0xFD, 9, 0, 0, 78, 1, 1, 0, 0, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xC9, 0x78,
+/// ];
+/// let mut decoder = Decoder::new(crc_extra);
+/// decoder.write(b"noise");
+/// decoder.write(&heartbeat);
+/// let Some(Ok(Packet::Mavlink2(frame))) = decoder.read() else { panic!() };
+/// assert_eq!(frame.header().sequence, 78);
+/// assert!(decoder.read().is_none());
+/// assert_eq!(decoder.dropped(), 5);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    buffer: Vec<u8, MAX_FRAME_SIZE>,
+    /// Bytes of `buffer` that are done with.
+    done: usize,
+    /// Bytes after them that the last packet read holds.
+    lent: usize,
+    /// No byte has come for so long that no packet begun will be finished.
+    idle: bool,
+    dropped: u32,
+    crc_extra: fn(MessageId) -> Option<u8>,
+}
+
+impl Decoder {
+    /// An empty decoder that checks checksums with `crc_extra`:
+    /// [`dialect::crc_extra`](crate::dialect::crc_extra), or a table of your own.
+    #[must_use]
+    pub const fn new(crc_extra: fn(MessageId) -> Option<u8>) -> Self {
+        Self {
+            buffer: Vec::new(),
+            done: 0,
+            lent: 0,
+            idle: false,
+            dropped: 0,
+            crc_extra,
+        }
+    }
+
+    /// Takes bytes from the front of `bytes`, as many as there is room for, and says how many.
+    ///
+    /// There is room for at least one whenever [`read`](Self::read) has returned `None`.
+    pub fn write(&mut self, bytes: &[u8]) -> usize {
+        self.take_back();
+        let done = self.done.min(self.buffer.len());
+        self.buffer.copy_within(done.., 0);
+        self.buffer.truncate(self.buffer.len() - done);
+        self.done = 0;
+        let room = self.room();
+        let taken = bytes.get(..room).unwrap_or(bytes);
+        let appended = self.buffer.extend_from_slice(taken);
+        debug_assert!(appended.is_ok(), "only as many as there is room for");
+        if !taken.is_empty() {
+            self.idle = false;
+        }
+        taken.len()
+    }
+
+    /// Bytes that [`write`](Self::write) would take now: 0 to 280.
+    #[must_use]
+    pub fn room(&self) -> usize {
+        let kept = self.buffer.len() - (self.done + self.lent).min(self.buffer.len());
+        MAX_FRAME_SIZE - kept
+    }
+
+    /// The next packet, or why something that looked like one is none; `None` when more bytes
+    /// are needed.
+    pub fn read(&mut self) -> Option<Result<Packet<'_>, DecodeError>> {
+        self.take_back();
+        let Self {
+            buffer,
+            done,
+            lent,
+            idle,
+            dropped,
+            crc_extra,
+        } = self;
+        loop {
+            let pending = buffer.get(*done..).unwrap_or_default();
+            let noise = pending
+                .iter()
+                .position(|byte| matches!(*byte, MAGIC | MAGIC_V1))
+                .unwrap_or(pending.len());
+            *done += noise;
+            *dropped = dropped.saturating_add(noise as u32);
+            let pending = pending.get(noise..).unwrap_or_default();
+            match front(pending, *crc_extra) {
+                Front::Packet(packet, size) => {
+                    *lent = size;
+                    return Some(Ok(packet));
+                }
+                Front::Fault(fault) => {
+                    *done += 1;
+                    *dropped = dropped.saturating_add(1);
+                    return Some(Err(fault));
+                }
+                Front::Partial if *idle && !pending.is_empty() => {
+                    *done += 1;
+                    *dropped = dropped.saturating_add(1);
+                }
+                Front::Partial => return None,
+            }
+        }
+    }
+
+    /// Says that the line has been silent for longer than any sender pauses within a packet.
+    ///
+    /// What has begun like a packet is given up: noise that announces 255 bytes no longer holds
+    /// back the real packet behind it, which the next [`read`](Self::read) finds.
+    pub const fn idle(&mut self) {
+        self.idle = true;
+    }
+
+    /// Bytes that belonged to no packet, since the start; stays at the top of its range.
+    #[must_use]
+    pub const fn dropped(&self) -> u32 {
+        self.dropped
+    }
+
+    /// The last packet has been looked at: its bytes are done with.
+    const fn take_back(&mut self) {
+        self.done += self.lent;
+        self.lent = 0;
+    }
+}
+
+/// What stands at the front of the bytes.
+enum Front<'a> {
+    Packet(Packet<'a>, usize),
+    Fault(DecodeError),
+    /// Nothing, or the beginning of what may become a packet.
+    Partial,
+}
+
+fn front(pending: &[u8], crc_extra: fn(MessageId) -> Option<u8>) -> Front<'_> {
+    let (packet, id, size) = if pending.first() == Some(&MAGIC_V1) {
+        let Some(packet) = Mavlink1::parse(pending) else {
+            return Front::Partial;
+        };
+        let size = packet.as_bytes().len();
+        (Packet::Mavlink1(packet), packet.message_id(), size)
+    } else {
+        match FrameRef::parse(pending) {
+            Ok(frame) => {
+                let size = frame.as_bytes().len();
+                (Packet::Mavlink2(frame), frame.header().message_id, size)
+            }
+            Err(ParseError::UnknownIncompatFlags(flags)) => {
+                return Front::Fault(DecodeError::UnknownIncompatFlags(flags));
+            }
+            // The caller has skipped what has no magic byte.
+            Err(ParseError::Truncated | ParseError::BadMagic(_)) => return Front::Partial,
+        }
+    };
+    let Some(crc_extra) = crc_extra(id) else {
+        return Front::Fault(DecodeError::UnknownMessage(id));
+    };
+    let matches = match packet {
+        Packet::Mavlink2(frame) => frame.checksum_matches(crc_extra),
+        Packet::Mavlink1(packet) => packet.checksum_matches(crc_extra),
+    };
+    if matches {
+        Front::Packet(packet, size)
+    } else {
+        Front::Fault(DecodeError::BadChecksum(id))
+    }
+}

@@ -1,0 +1,37 @@
+#![doc = include_str!("../README.md")]
+#![no_std]
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::expect_used,
+        clippy::indexing_slicing,
+        clippy::panic,
+        clippy::unreachable,
+        clippy::unwrap_used
+    )
+)]
+
+pub mod crc;
+mod decoder;
+pub mod dialect;
+mod error;
+pub mod field;
+mod frame;
+mod header;
+mod key;
+mod profile;
+mod replay;
+mod sign;
+mod time;
+mod verify;
+
+pub use decoder::{DecodeError, Decoder, Mavlink1, Packet};
+pub use error::{KeyError, ParseError, SignError, VerifyError};
+pub use frame::{Frame, FrameRef, Signature, Tag};
+pub use header::{Header, MessageId};
+pub use key::{KEY_SIZE, SigningKey};
+pub use profile::{Hmac, Profile};
+pub use replay::Replay;
+pub use sign::sign_frame;
+pub use time::{Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
+pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};

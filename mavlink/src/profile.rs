@@ -1,0 +1,59 @@
+//! How a tag is computed: the profile that both ends of a link must share.
+
+use hmac::digest::{Mac, common::Key};
+use hmac::{EagerHash, KeyInit};
+use sha2::Sha256;
+use zeroize::Zeroize;
+
+use crate::field::TAG_SIZE;
+use crate::frame::Tag;
+use crate::key::KEY_SIZE;
+
+/// A way to compute tags from a 32-byte key.
+///
+/// A value holds whatever the profile prepares once from the key. It must wipe itself when
+/// dropped and show no secret in any other way.
+pub trait Profile {
+    /// Prepares `key` for use.
+    fn new(key: &[u8; KEY_SIZE]) -> Self;
+
+    /// The 6-byte tag over `covered`, which is a frame from the magic byte to the timestamp.
+    fn tag(&self, covered: &[u8]) -> Tag;
+}
+
+/// HMAC-SHA256 (RFC 2104) cut to its first 48 bits: mavseal's own profile.
+///
+/// **Not** the signature of the MAVLink standard: ArduPilot, PX4, QGroundControl, MAVProxy and
+/// pymavlink use the plain SHA-256 of key and frame. The two do not understand each other.
+///
+/// The two compressions that absorb the key are done once for each key; a tag of a frame with up
+/// to 36 bytes of payload then costs two, each further 64 bytes one more. `H` is the hash, so
+/// that a part with a hash unit can put its own behind the same construction.
+#[derive(Clone)]
+pub struct Hmac<H: EagerHash = Sha256> {
+    keyed: hmac::Hmac<H>,
+}
+
+impl<H: EagerHash> Profile for Hmac<H> {
+    fn new(key: &[u8; KEY_SIZE]) -> Self {
+        // RFC 2104 fills a short key with zeros to the hash's block; doing it here leaves no
+        // length that could be wrong.
+        let mut block = Key::<hmac::Hmac<H>>::default();
+        for (slot, byte) in block.iter_mut().zip(key) {
+            *slot = *byte;
+        }
+        let keyed = hmac::Hmac::new(&block);
+        block.as_mut_slice().zeroize();
+        Self { keyed }
+    }
+
+    fn tag(&self, covered: &[u8]) -> Tag {
+        let mut mac = self.keyed.clone();
+        mac.update(covered);
+        let mut tag = [0; TAG_SIZE];
+        for (slot, byte) in tag.iter_mut().zip(mac.finalize().into_bytes()) {
+            *slot = byte;
+        }
+        tag
+    }
+}

@@ -1,0 +1,28 @@
+//! Signing a frame in place.
+
+use crate::error::SignError;
+use crate::frame::Frame;
+use crate::key::SigningKey;
+use crate::profile::Profile;
+use crate::time::Stamp;
+
+/// Signs `frame`: sets the signed flag (incompatibility flag 0x01), computes the checksum anew,
+/// and appends link id, timestamp and the 6-byte tag over everything before it.
+///
+/// Takes what a [`Stamper`](crate::Stamper) gives, or its error, as `stamp`'s source; sign when
+/// sending, not earlier: a frame that waits grows old (MAVLink guide, "Message Signing").
+///
+/// # Errors
+///
+/// [`SignError::AlreadySigned`]; the frame is then unchanged.
+pub fn sign_frame<P: Profile>(
+    frame: &mut Frame,
+    key: &SigningKey<P>,
+    stamp: Stamp,
+) -> Result<(), SignError> {
+    if frame.is_signed() {
+        return Err(SignError::AlreadySigned);
+    }
+    frame.sign(stamp, |covered| key.tag(covered));
+    Ok(())
+}

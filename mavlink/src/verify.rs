@@ -1,0 +1,176 @@
+//! Authenticity first, then order: what turns a received frame into one to act on.
+
+use core::cell::Cell;
+
+use critical_section::Mutex;
+use subtle::ConstantTimeEq;
+
+use crate::dialect::crc_extra;
+use crate::error::VerifyError;
+use crate::frame::{Frame, FrameRef};
+use crate::header::Header;
+use crate::key::SigningKey;
+use crate::profile::Profile;
+use crate::replay::Replay;
+use crate::time::{Stamp, Timestamp};
+
+/// A frame that was signed with the key, at some time: it may be a replay.
+///
+/// Made by [`authenticate`] alone.
+#[derive(Clone, Copy, Debug)]
+pub struct Authentic<'a> {
+    frame: FrameRef<'a>,
+    stamp: Stamp,
+    crc_extra: u8,
+}
+
+impl Authentic<'_> {
+    /// The header, as the sender made it.
+    #[must_use]
+    pub const fn header(&self) -> Header {
+        self.frame.header()
+    }
+
+    /// The link and the moment that the sender signed for.
+    #[must_use]
+    pub const fn stamp(&self) -> Stamp {
+        self.stamp
+    }
+}
+
+/// A frame to act on: signed with the key, for this link, inside the window, and newer than every
+/// frame accepted before.
+///
+/// Made by [`Replay::admit`] alone, and not copied, so that it is acted on once.
+#[derive(Debug)]
+pub struct Verified<'a>(Authentic<'a>);
+
+impl<'a> Verified<'a> {
+    /// Only for [`Replay::admit`].
+    pub(crate) const fn new(frame: Authentic<'a>) -> Self {
+        Self(frame)
+    }
+
+    /// The header.
+    #[must_use]
+    pub const fn header(&self) -> Header {
+        self.0.header()
+    }
+
+    /// The link and the moment that the sender signed for.
+    #[must_use]
+    pub const fn stamp(&self) -> Stamp {
+        self.0.stamp()
+    }
+
+    /// The payload, 0 to 255 bytes, its trailing zeros cut by the sender.
+    #[must_use]
+    pub const fn payload(&self) -> &'a [u8] {
+        self.0.frame.payload()
+    }
+
+    /// The whole frame as received, signature included: to forward it untouched.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &'a [u8] {
+        self.0.frame.as_bytes()
+    }
+
+    /// The same frame as received, signature included, to be sent on later.
+    #[must_use]
+    pub fn to_frame(&self) -> Frame {
+        Frame::copy_of(self.0.frame, self.0.crc_extra)
+    }
+
+    /// The same frame for a link without signing: signature removed, flag cleared, checksum
+    /// computed anew.
+    #[must_use]
+    pub fn to_unsigned(&self) -> Frame {
+        let payload = self.payload();
+        // A view's payload length is one byte on the wire.
+        let length = u8::try_from(payload.len()).unwrap_or(u8::MAX);
+        Frame::unsigned(&self.header().to_wire(length), payload, self.0.crc_extra)
+    }
+}
+
+/// Whether `frame` was signed with `key`: signed flag, known message, checksum, tag, in this
+/// order.
+///
+/// A pure function: it says nothing about when the frame was signed, and for which link. The tag
+/// is compared in constant time.
+///
+/// # Errors
+///
+/// [`VerifyError::NotSigned`], [`VerifyError::UnknownMessage`], [`VerifyError::BadChecksum`],
+/// [`VerifyError::BadTag`].
+pub fn authenticate<'a, P: Profile>(
+    frame: FrameRef<'a>,
+    key: &SigningKey<P>,
+) -> Result<Authentic<'a>, VerifyError> {
+    let signature = frame.signature().ok_or(VerifyError::NotSigned)?;
+    let (covered, tag) = frame.split_tag().ok_or(VerifyError::NotSigned)?;
+    let id = frame.header().message_id;
+    let crc_extra = crc_extra(id).ok_or(VerifyError::UnknownMessage(id))?;
+    if !frame.checksum_matches(crc_extra) {
+        return Err(VerifyError::BadChecksum);
+    }
+    if !bool::from(key.tag(covered).ct_eq(tag)) {
+        return Err(VerifyError::BadTag);
+    }
+    Ok(Authentic {
+        frame,
+        stamp: signature.stamp,
+        crc_extra,
+    })
+}
+
+/// Replay state that interrupts and threads share; `const`, so it can be a `static`.
+///
+/// ```
+/// use mavlink_signing::{MavLinkState, Replay, Window};
+///
+/// static UPLINK: MavLinkState = MavLinkState::new(Replay::new(7, Window::SEED));
+/// # let _ = UPLINK.replay();
+/// ```
+#[derive(Debug)]
+pub struct MavLinkState(Mutex<Cell<Replay>>);
+
+impl MavLinkState {
+    /// Shares `replay`.
+    #[must_use]
+    pub const fn new(replay: Replay) -> Self {
+        Self(Mutex::new(Cell::new(replay)))
+    }
+
+    /// The replay state as it is now.
+    pub fn replay(&self) -> Replay {
+        critical_section::with(|token| self.0.borrow(token).get())
+    }
+
+    /// [`Replay::admit`] in one critical section: two frames with one stamp cannot both pass.
+    fn admit<'a>(&self, frame: Authentic<'a>, now: Timestamp) -> Result<Verified<'a>, VerifyError> {
+        critical_section::with(|token| {
+            let shared = self.0.borrow(token);
+            let mut replay = shared.get();
+            let verified = replay.admit(frame, now)?;
+            shared.set(replay);
+            Ok(verified)
+        })
+    }
+}
+
+/// [`authenticate`], then [`Replay::admit`] in a critical section: the whole verdict on a frame.
+///
+/// The hash is computed outside the critical section. On every error `state` is untouched.
+///
+/// # Errors
+///
+/// Those of [`authenticate`], then [`VerifyError::WrongLink`], [`VerifyError::FromFuture`],
+/// [`VerifyError::TooOld`], [`VerifyError::Replayed`].
+pub fn verify_frame<'a, P: Profile>(
+    frame: FrameRef<'a>,
+    key: &SigningKey<P>,
+    now: Timestamp,
+    state: &MavLinkState,
+) -> Result<Verified<'a>, VerifyError> {
+    state.admit(authenticate(frame, key)?, now)
+}

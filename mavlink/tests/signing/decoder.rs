@@ -1,0 +1,159 @@
+//! The decoder: whatever comes over the line, in whatever pieces.
+
+use crate::common::*;
+use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, dialect::crc_extra};
+
+/// A MAVLink 1 HEARTBEAT.
+const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
+
+#[derive(Debug, PartialEq)]
+enum Found {
+    Mavlink2(Vec<u8>),
+    Mavlink1(Vec<u8>),
+    Fault(DecodeError),
+}
+
+fn read_all(decoder: &mut Decoder) -> Vec<Found> {
+    let mut found = Vec::new();
+    while let Some(decoded) = decoder.read() {
+        found.push(match decoded {
+            Ok(Packet::Mavlink2(frame)) => Found::Mavlink2(frame.as_bytes().into()),
+            Ok(Packet::Mavlink1(packet)) => Found::Mavlink1(packet.as_bytes().into()),
+            Err(fault) => Found::Fault(fault),
+        });
+    }
+    found
+}
+
+/// Everything that is found when `stream` comes in pieces of `size`.
+fn decode(stream: &[u8], size: usize) -> Vec<Found> {
+    let mut decoder = Decoder::new(crc_extra);
+    let mut found = Vec::new();
+    for mut piece in stream.chunks(size) {
+        while !piece.is_empty() {
+            let taken = decoder.write(piece);
+            assert!(taken > 0, "there is room after read has returned None");
+            piece = &piece[taken..];
+            found.extend(read_all(&mut decoder));
+        }
+    }
+    found
+}
+
+/// A stream with some of everything.
+fn stream() -> Vec<u8> {
+    let mut stream = b"noise\xFD\xFEnoise".to_vec();
+    stream.extend(signed(&[1, 2, 3], NOW).as_bytes());
+    stream.extend(MAVLINK1);
+    stream.extend(unsigned(0, &[0xFD; 255]).as_bytes());
+    stream.extend([0xFD, 0xFF]);
+    stream.extend(signed(&[0xFE; 255], NOW).as_bytes());
+    let mut damaged = unsigned(0, &[9; 9]).as_bytes().to_vec();
+    damaged[12] ^= 4;
+    stream.extend(damaged);
+    // Enough of nothing that every packet that noise begins is over.
+    stream.extend([0; 300]);
+    stream
+}
+
+#[test]
+fn packets_come_out_as_what_they_are() {
+    let found = decode(&stream(), 1);
+    let packets: Vec<&Found> = found
+        .iter()
+        .filter(|found| !matches!(found, Found::Fault(_)))
+        .collect();
+    assert_eq!(
+        packets,
+        [
+            &Found::Mavlink2(signed(&[1, 2, 3], NOW).as_bytes().into()),
+            &Found::Mavlink1(MAVLINK1.into()),
+            &Found::Mavlink2(unsigned(0, &[0xFD; 255]).as_bytes().into()),
+            &Found::Mavlink2(signed(&[0xFE; 255], NOW).as_bytes().into()),
+        ]
+    );
+    let damaged = Found::Fault(DecodeError::BadChecksum(MessageId::from(0)));
+    assert!(found.contains(&damaged));
+}
+
+#[test]
+fn the_cut_of_the_stream_does_not_matter() {
+    let stream = stream();
+    let expected = decode(&stream, 1);
+    for size in 2..=stream.len() {
+        assert_eq!(decode(&stream, size), expected, "pieces of {size}");
+    }
+}
+
+#[test]
+fn every_byte_is_dropped_or_in_a_packet() {
+    let stream = stream();
+    let mut decoder = Decoder::new(crc_extra);
+    let mut rest = &stream[..];
+    let mut in_packets = 0;
+    while !rest.is_empty() {
+        assert_eq!(decoder.room(), decoder.clone().write(&[0; 400]));
+        let taken = decoder.write(rest);
+        rest = &rest[taken..];
+        for found in read_all(&mut decoder) {
+            if let Found::Mavlink2(bytes) | Found::Mavlink1(bytes) = found {
+                in_packets += bytes.len();
+            }
+        }
+    }
+    assert_eq!(in_packets + decoder.dropped() as usize, stream.len());
+}
+
+#[test]
+fn unknown_messages_and_flags_are_told() {
+    let mut unknown = unsigned(0, &[1]).as_bytes().to_vec();
+    let id = header(UNKNOWN).message_id;
+    unknown[7..10].copy_from_slice(&id.to_le_bytes());
+    let mut decoder = Decoder::new(crc_extra);
+    decoder.write(&unknown);
+    let first = decoder.read().expect("a fault");
+    assert_eq!(first.expect_err("unknown"), DecodeError::UnknownMessage(id));
+
+    let mut flags = unsigned(0, &[1]).as_bytes().to_vec();
+    flags[2] = 0x82;
+    let mut decoder = Decoder::new(crc_extra);
+    decoder.write(&flags);
+    let first = decoder.read().expect("a fault");
+    assert_eq!(
+        first.expect_err("unknown"),
+        DecodeError::UnknownIncompatFlags(0x82)
+    );
+}
+
+#[test]
+fn noise_that_announces_255_bytes_holds_nothing_back() {
+    let frame = signed(&[1, 2, 3], NOW);
+    let mut decoder = Decoder::new(crc_extra);
+    decoder.write(&[0xFD, 255, 0, 0]);
+    decoder.write(frame.as_bytes());
+    assert!(decoder.read().is_none(), "it may still be a packet of 267");
+
+    decoder.idle();
+    let found = read_all(&mut decoder);
+    assert_eq!(found, [Found::Mavlink2(frame.as_bytes().into())]);
+    assert_eq!(decoder.dropped(), 4);
+
+    // Silence lasts until the next byte.
+    let (first, second) = frame.as_bytes().split_at(5);
+    decoder.idle();
+    decoder.write(first);
+    assert!(decoder.read().is_none());
+    decoder.write(second);
+    assert_eq!(read_all(&mut decoder).len(), 1);
+}
+
+#[test]
+fn a_partial_packet_is_given_up_when_the_line_is_idle() {
+    let frame = signed(&[1, 2, 3], NOW);
+    let mut decoder = Decoder::new(crc_extra);
+    decoder.write(&frame.as_bytes()[..20]);
+    decoder.idle();
+    assert!(decoder.read().is_none());
+    assert_eq!(decoder.dropped(), 20);
+    assert_eq!(decoder.room(), 280);
+}

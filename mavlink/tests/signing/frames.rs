@@ -1,0 +1,289 @@
+//! Frames of every length, every damage, every edge of time.
+
+use crate::common::*;
+use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE, SIGNATURE_SIZE, TAG_SIZE};
+use mavlink_signing::{
+    Frame, FrameRef, Hmac, KeyError, ParseError, Replay, SignError, SigningKey, Stamp, Stamper,
+    Timestamp, VerifyError, Window, authenticate, dialect, sign_frame,
+};
+
+/// The checksum by a library that shares no code with this one.
+fn checksum(covered: &[u8], crc_extra: u8) -> [u8; 2] {
+    let crc = crc::Crc::<u16>::new(&crc::CRC_16_MCRF4XX);
+    let mut digest = crc.digest();
+    digest.update(covered);
+    digest.update(&[crc_extra]);
+    digest.finalize().to_le_bytes()
+}
+
+/// Payload bytes that are not all alike.
+fn payload(length: usize) -> Vec<u8> {
+    (0..length).map(|i| (i * 7 + length) as u8).collect()
+}
+
+#[test]
+fn every_payload_length() {
+    for length in 0..=255 {
+        let payload = payload(length);
+        let frame = signed(&payload, NOW);
+        let bytes = frame.as_bytes();
+        assert_eq!(bytes.len(), HEADER_SIZE + length + 2 + SIGNATURE_SIZE);
+
+        // Every byte, from the guide's description and two independent libraries.
+        let mut expected = vec![0xFD, length as u8, 1, 0, 17, 1, 190, 0, 0, 0];
+        expected.extend(&payload);
+        expected.extend(checksum(&expected[1..], 50));
+        expected.push(LINK_ID);
+        expected.extend(&NOW.to_le_bytes()[..6]);
+        let tag = hmac_sha256::HMAC::mac(&expected, KEY);
+        expected.extend(&tag[..TAG_SIZE]);
+        assert_eq!(bytes, expected);
+
+        let state = fresh();
+        let verified = receive(bytes, NOW, &state).expect("verified");
+        assert_eq!(verified.payload(), payload);
+        assert_eq!(verified.to_frame(), frame);
+        assert_eq!(verified.to_unsigned(), unsigned(0, &payload));
+    }
+    assert_eq!(signed(&payload(255), NOW).as_bytes().len(), MAX_FRAME_SIZE);
+}
+
+#[test]
+fn every_message_of_the_dialect() {
+    assert!(dialect::messages().len() > 0);
+    for (id, crc_extra) in dialect::messages() {
+        let frame = unsigned(id.get(), &[1, 2]);
+        let bytes = frame.as_bytes();
+        assert_eq!(bytes[12..], checksum(&bytes[1..12], crc_extra));
+        let received = FrameRef::parse(bytes).expect("a frame");
+        assert_eq!(received.header(), header(id.get()));
+    }
+}
+
+#[test]
+fn every_flipped_bit_is_refused() {
+    for length in [0, 1, 9, 255] {
+        let frame = signed(&payload(length), NOW);
+        for bit in 0..frame.as_bytes().len() * 8 {
+            let mut bytes = frame.as_bytes().to_vec();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            let state = fresh();
+            let before = state.replay();
+            let refused = receive(&bytes, NOW, &state);
+            assert!(refused.is_err(), "length {length}, bit {bit}");
+            assert_eq!(state.replay(), before);
+        }
+    }
+}
+
+#[test]
+fn a_flip_under_a_repaired_checksum_is_a_bad_tag() {
+    let frame = signed(&payload(9), NOW);
+    let checksum_at = HEADER_SIZE + 9;
+    for bit in (3 * 8..7 * 8).chain(HEADER_SIZE * 8..checksum_at * 8) {
+        let mut bytes = frame.as_bytes().to_vec();
+        bytes[bit / 8] ^= 1 << (bit % 8);
+        let repaired = checksum(&bytes[1..checksum_at], 50);
+        bytes[checksum_at..checksum_at + 2].copy_from_slice(&repaired);
+        assert_refused(&bytes, NOW, &fresh(), VerifyError::BadTag);
+    }
+}
+
+#[test]
+fn the_window_includes_its_edges() {
+    for (age, expected) in [
+        (0, Ok(())),
+        (1, Ok(())),
+        (999_999, Ok(())),
+        (1_000_000, Ok(())),
+        (1_000_001, Err(VerifyError::TooOld)),
+    ] {
+        let frame = signed(&[1], NOW - age);
+        let state = fresh();
+        let verdict = receive(frame.as_bytes(), NOW, &state).map(drop);
+        assert_eq!(verdict, expected, "{age} ticks old");
+    }
+    let window = Window { past: 5, ahead: 7 };
+    for (stamp, expected) in [
+        (NOW - 6, Err(VerifyError::TooOld)),
+        (NOW - 5, Ok(())),
+        (NOW + 7, Ok(())),
+        (NOW + 8, Err(VerifyError::FromFuture)),
+    ] {
+        assert_eq!(window.check(at(stamp), at(NOW)), expected);
+    }
+    // A clock that has run for less than the window, and one at its end.
+    assert_eq!(Window::SEED.check(Timestamp::ZERO, at(3)), Ok(()));
+    let open = Window {
+        past: 0,
+        ahead: u64::MAX,
+    };
+    assert_eq!(open.check(Timestamp::MAX, Timestamp::ZERO), Ok(()));
+}
+
+#[test]
+fn a_clock_of_48_bits() {
+    let max = (1 << 48) - 1;
+    assert_eq!(Timestamp::MAX.ticks(), max);
+    assert_eq!(Timestamp::from_ticks(max + 1), None);
+    assert_eq!(Timestamp::from_ticks(u64::MAX), None);
+    assert_eq!(Timestamp::MAX.to_wire(), [0xFF; 6]);
+    assert_eq!(
+        Timestamp::from_wire([1, 2, 3, 4, 5, 6]).ticks(),
+        0x0605_0403_0201
+    );
+    assert_eq!(Timestamp::MAX.saturating_add(1), Timestamp::MAX);
+    assert_eq!(at(max - 1).saturating_add(1), Timestamp::MAX);
+    assert_eq!(Timestamp::ZERO.saturating_add(u64::MAX), Timestamp::MAX);
+
+    // date -u -d 2015-01-01T00:00:00Z +%s
+    let epoch = 1_420_070_400_000_000;
+    assert_eq!(Timestamp::from_unix_micros(epoch), Some(Timestamp::ZERO));
+    assert_eq!(Timestamp::from_unix_micros(epoch - 1), None);
+    assert_eq!(Timestamp::from_unix_micros(epoch + 19), Some(at(1)));
+    assert_eq!(Timestamp::from_unix_micros(u64::MAX), None);
+    assert_eq!(at(1).unix_micros(), epoch + 10);
+
+    // The last frame of all is accepted, once.
+    let state = fresh();
+    let last = signed(&[1], max);
+    receive(last.as_bytes(), max, &state).expect("the last");
+    assert_refused(last.as_bytes(), max, &state, VerifyError::Replayed);
+    assert_eq!(state.replay().last(), Some(Timestamp::MAX));
+}
+
+#[test]
+fn stamps_increase_and_end() {
+    let mut stamper = Stamper::new(LINK_ID);
+    let stamps: Vec<u64> = [5, 5, 3, 9, 9]
+        .map(|now| stamper.stamp(at(now)).expect("a stamp").timestamp.ticks())
+        .into();
+    assert_eq!(stamps, [5, 6, 7, 9, 10]);
+
+    // A minute of silence does not leave the stamps behind.
+    let later = stamper.stamp(at(6_000_009)).expect("a stamp");
+    assert_eq!(later.timestamp, at(6_000_009));
+
+    let mut stamper = Stamper::resume(LINK_ID, Timestamp::MAX);
+    assert_eq!(stamper.link_id(), LINK_ID);
+    let last = stamper.stamp(Timestamp::ZERO).expect("the last stamp");
+    assert_eq!(last.timestamp, Timestamp::MAX);
+    for now in [Timestamp::ZERO, Timestamp::MAX] {
+        assert_eq!(stamper.stamp(now), Err(SignError::ClockExhausted));
+    }
+}
+
+#[test]
+fn a_receiver_resumes_at_its_mark() {
+    let mut replay = Replay::resume(LINK_ID, Window::SEED, at(NOW));
+    assert_eq!((replay.link_id(), replay.window()), (LINK_ID, Window::SEED));
+    assert_eq!(replay.last(), Some(at(NOW - 1)));
+    for (ticks, accepted) in [(NOW - 1, false), (NOW, true), (NOW, false), (NOW + 1, true)] {
+        let frame = signed(&[1], ticks);
+        let received = FrameRef::parse(frame.as_bytes()).expect("a frame");
+        let authentic = authenticate(received, &key()).expect("authentic");
+        assert_eq!(replay.admit(authentic, at(NOW + 1)).is_ok(), accepted);
+    }
+}
+
+#[test]
+fn a_frame_is_signed_once() {
+    let mut frame = signed(&[1], NOW);
+    let before = frame.clone();
+    let stamp = Stamp {
+        link_id: LINK_ID,
+        timestamp: at(NOW + 1),
+    };
+    assert_eq!(
+        sign_frame(&mut frame, &key(), stamp),
+        Err(SignError::AlreadySigned)
+    );
+    assert_eq!(frame, before);
+}
+
+#[test]
+fn frames_that_cannot_be_made() {
+    let long = Frame::new(header(0), &[1; 256]);
+    assert_eq!(long, Err(SignError::PayloadTooLong(256)));
+
+    let mut bytes = unsigned(0, &[1, 2, 3]).as_bytes().to_vec();
+    bytes[11] ^= 1;
+    let damaged = FrameRef::parse(&bytes).expect("a frame");
+    assert_eq!(Frame::try_from(damaged), Err(SignError::BadChecksum));
+    bytes[7..10].copy_from_slice(&header(UNKNOWN).message_id.to_le_bytes());
+    let unknown = FrameRef::parse(&bytes).expect("a frame");
+    let error = SignError::UnknownMessage(header(UNKNOWN).message_id);
+    assert_eq!(Frame::try_from(unknown), Err(error));
+}
+
+#[test]
+fn every_incompatibility_flag_but_one_is_unknown() {
+    for flags in 0..=255_u8 {
+        let mut bytes = signed(&[1], NOW).as_bytes().to_vec();
+        bytes[2] = flags;
+        match FrameRef::parse(&bytes) {
+            Ok(frame) => assert_eq!(frame.is_signed(), flags == 1),
+            Err(error) => {
+                assert!(flags > 1);
+                assert_eq!(error, ParseError::UnknownIncompatFlags(flags));
+            }
+        }
+    }
+}
+
+#[test]
+fn what_follows_a_frame_is_left_alone() {
+    let frame = signed(&[1, 2, 3], NOW);
+    let mut bytes = frame.as_bytes().to_vec();
+    bytes.extend([0xAA; 300]);
+    let received = FrameRef::parse(&bytes).expect("a frame");
+    assert_eq!(received.as_bytes(), frame.as_bytes());
+}
+
+#[test]
+fn keys_of_zeros_are_none() {
+    let error = SigningKey::<Hmac>::new(&[0; 32]).expect_err("zeros");
+    assert_eq!(error, KeyError::AllZero);
+    for set in 0..32 {
+        let mut bytes = [0; 32];
+        bytes[set] = 1;
+        SigningKey::<Hmac>::new(&bytes).expect("one byte is set");
+    }
+}
+
+#[test]
+fn nothing_shows_a_key() {
+    assert_eq!(format!("{:?}", key()), "SigningKey(redacted)");
+}
+
+/// RFC 4231, section 4, cases 1 to 4, cut to 48 bits. A key shorter than 32 bytes is the same key
+/// with zeros after it (RFC 2104, section 2); the longer keys of cases 6 and 7 are none here.
+#[test]
+fn hmac_sha256_rfc4231() {
+    use mavlink_signing::Profile;
+
+    let count_up: Vec<u8> = (1..=25).collect();
+    let cases: [(&[u8], &[u8], [u8; 6]); 4] = [
+        (
+            &[0x0B; 20],
+            b"Hi There",
+            [0xB0, 0x34, 0x4C, 0x61, 0xD8, 0xDB],
+        ),
+        (
+            b"Jefe",
+            b"what do ya want for nothing?",
+            [0x5B, 0xDC, 0xC1, 0x46, 0xBF, 0x60],
+        ),
+        (
+            &[0xAA; 20],
+            &[0xDD; 50],
+            [0x77, 0x3E, 0xA9, 0x1E, 0x36, 0x80],
+        ),
+        (&count_up, &[0xCD; 50], [0x82, 0x55, 0x8A, 0x38, 0x9A, 0x44]),
+    ];
+    for (key, message, expected) in cases {
+        let mut padded = [0; 32];
+        padded[..key.len()].copy_from_slice(key);
+        assert_eq!(<Hmac>::new(&padded).tag(message), expected);
+    }
+}

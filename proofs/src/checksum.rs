@@ -1,0 +1,54 @@
+//! C1: the checksum is CRC-16/MCRF4XX.
+
+use mavlink_signing::crc::step;
+
+/// C1: one step equals the bitwise definition: polynomial 0x1021 reflected, lowest bit first.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn step_is_bitwise(crc: u16, byte: u8) {
+    let mut expected = crc ^ u16::from(byte);
+    for _ in 0..8 {
+        let out = expected & 1;
+        expected >>= 1;
+        if out == 1 {
+            expected ^= 0x8408;
+        }
+    }
+    assert_eq!(step(crc, byte), expected);
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use mavlink_signing::crc::checksum;
+
+    #[test]
+    fn c1_every_crc_and_byte() {
+        for crc in 0..=u16::MAX {
+            for byte in 0..=u8::MAX {
+                step_is_bitwise(crc, byte);
+            }
+        }
+    }
+
+    /// The check value of CRC-16/MCRF4XX in the catalogue of parametrised CRC algorithms.
+    #[test]
+    fn c1_check_value() {
+        assert_eq!(checksum(b"12345678", b'9'), 0x6F91);
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+
+    #[kani::proof]
+    #[kani::unwind(9)]
+    fn c1_step_is_bitwise() {
+        let (crc, byte) = (kani::any(), kani::any());
+        kani::cover!(step(crc, byte) == 0x6F91, "the check value");
+        step_is_bitwise(crc, byte);
+    }
+}

@@ -1,0 +1,213 @@
+//! V1: a frame is accepted if and only if every condition holds.
+
+use mavlink_signing::dialect::crc_extra;
+use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, SIGNATURE_SIZE, TAG_SIZE};
+use mavlink_signing::{
+    FrameRef, MessageId, Profile, Replay, SigningKey, Tag, Timestamp, VerifyError, authenticate,
+};
+
+/// V1: [`authenticate`] and [`Replay::admit`] give the verdict of `specified`, which reads the
+/// bytes naively; the payload that comes out is the frame's; what is refused changes nothing.
+///
+/// `checksum` and `tag` are what the code under test computes, or the models that stand for it.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn accepted_iff<P: Profile>(
+    bytes: &[u8],
+    key: &SigningKey<P>,
+    replay: Replay,
+    now: Timestamp,
+    checksum: impl Fn(&[u8], u8) -> u16,
+    tag: impl Fn(&[u8]) -> Tag,
+) {
+    let Ok(frame) = FrameRef::parse(bytes) else {
+        return;
+    };
+    let expected = specified(frame.as_bytes(), &replay, now, checksum, tag);
+    let mut after = replay;
+    let verdict = authenticate(frame, key).and_then(|authentic| after.admit(authentic, now));
+    match verdict {
+        Ok(verified) => {
+            assert_eq!(expected, Ok(verified.stamp().timestamp));
+            assert_eq!(verified.payload().len(), bytes[1] as usize);
+            assert_eq!(verified.payload().as_ptr(), bytes[HEADER_SIZE..].as_ptr());
+            assert_eq!(after.last(), Some(verified.stamp().timestamp));
+        }
+        Err(error) => {
+            assert_eq!(expected, Err(error));
+            assert_eq!(after, replay);
+        }
+    }
+}
+
+/// The verdict on a whole frame, condition by condition; the timestamp if it is accepted.
+fn specified(
+    frame: &[u8],
+    replay: &Replay,
+    now: Timestamp,
+    checksum: impl Fn(&[u8], u8) -> u16,
+    tag: impl Fn(&[u8]) -> Tag,
+) -> Result<Timestamp, VerifyError> {
+    if frame[2] != 1 {
+        return Err(VerifyError::NotSigned);
+    }
+    let id = MessageId::from_le_bytes([frame[7], frame[8], frame[9]]);
+    let Some(crc_extra) = crc_extra(id) else {
+        return Err(VerifyError::UnknownMessage(id));
+    };
+    let end = frame.len();
+    let crc_at = end - SIGNATURE_SIZE - CHECKSUM_SIZE;
+    let crc = u16::from_le_bytes([frame[crc_at], frame[crc_at + 1]]);
+    if checksum(&frame[1..crc_at], crc_extra) != crc {
+        return Err(VerifyError::BadChecksum);
+    }
+    let expected = tag(&frame[..end - TAG_SIZE]);
+    for i in 0..TAG_SIZE {
+        if frame[end - TAG_SIZE + i] != expected[i] {
+            return Err(VerifyError::BadTag);
+        }
+    }
+    let link_id = frame[end - SIGNATURE_SIZE];
+    if link_id != replay.link_id() {
+        return Err(VerifyError::WrongLink(link_id));
+    }
+    let mut ticks = 0;
+    for i in 0..6 {
+        ticks |= u64::from(frame[end - SIGNATURE_SIZE + 1 + i]) << (8 * i);
+    }
+    if ticks > now.ticks() && ticks - now.ticks() > replay.window().ahead {
+        return Err(VerifyError::FromFuture);
+    }
+    if ticks < now.ticks() && now.ticks() - ticks > replay.window().past {
+        return Err(VerifyError::TooOld);
+    }
+    if replay.last().is_some_and(|last| ticks <= last.ticks()) {
+        return Err(VerifyError::Replayed);
+    }
+    Ok(Timestamp::from_ticks(ticks).expect("6 bytes"))
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use mavlink_signing::crc::checksum;
+    use mavlink_signing::{Frame, Header, Hmac, Stamp, Window, sign_frame};
+    use proptest::prelude::*;
+
+    const KEY: [u8; 32] = [7; 32];
+
+    fn signed(payload: &[u8], link_id: u8, ticks: u64) -> Vec<u8> {
+        let header = Header {
+            compat_flags: 0,
+            sequence: 0,
+            system_id: 1,
+            component_id: 1,
+            message_id: MessageId::from(0),
+        };
+        let mut frame = Frame::new(header, payload).expect("a frame");
+        let stamp = Stamp {
+            link_id,
+            timestamp: Timestamp::from_ticks(ticks).expect("48 bits"),
+        };
+        let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
+        sign_frame(&mut frame, &key, stamp).expect("signed");
+        frame.as_bytes().to_vec()
+    }
+
+    fn check(bytes: &[u8], replay: Replay, now: u64) {
+        let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
+        let tag = |covered: &[u8]| <Hmac>::new(&KEY).tag(covered);
+        let now = Timestamp::from_ticks(now).expect("48 bits");
+        accepted_iff(bytes, &key, replay, now, checksum, tag);
+    }
+
+    proptest! {
+        /// Moments so close that every verdict on time is likely.
+        #[test]
+        fn v1_random(
+            payload in proptest::collection::vec(any::<u8>(), 0..=255),
+            link_id in 0..3_u8,
+            times: [u8; 3],
+            past in 0..200_u64,
+            ahead in 0..200_u64,
+            // Often no damage, else one byte.
+            damage in proptest::option::of((any::<prop::sample::Index>(), 1..=255_u8)),
+        ) {
+            let [stamp, now, first] = times.map(|tick| 1_000 + u64::from(tick));
+            let mut bytes = signed(&payload, link_id, stamp);
+            if let Some((at, flip)) = damage {
+                let at = at.index(bytes.len());
+                bytes[at] ^= flip;
+            }
+            let first = Timestamp::from_ticks(first).expect("48 bits");
+            check(&bytes, Replay::resume(1, Window { past, ahead }, first), now);
+        }
+    }
+
+    #[test]
+    fn v1_edges_of_time() {
+        let max = Timestamp::MAX.ticks();
+        let moments = [0, 1, 5, 6, max - 6, max - 5, max - 1, max];
+        for stamp in moments {
+            let bytes = signed(&[1, 2, 3], 1, stamp);
+            for now in moments {
+                for first in moments {
+                    let first = Timestamp::from_ticks(first).expect("48 bits");
+                    for (past, ahead) in [(0, 0), (5, 0), (0, 5), (u64::MAX, u64::MAX)] {
+                        check(
+                            &bytes,
+                            Replay::resume(1, Window { past, ahead }, first),
+                            now,
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+    use crate::model::{AnyTag, any_checksum, set_checksum};
+    use mavlink_signing::Window;
+    use mavlink_signing::field::MAX_FRAME_SIZE;
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+    fn v1_accepted_iff() {
+        set_checksum(kani::any());
+        let bytes: [u8; MAX_FRAME_SIZE] = kani::any();
+        let bytes = kani::slice::any_slice_of_array(&bytes);
+        let secret: [u8; 32] = kani::any();
+        let Ok(key) = SigningKey::<AnyTag>::new(&secret) else {
+            return;
+        };
+        let window = Window {
+            past: kani::any(),
+            ahead: kani::any(),
+        };
+        let replay = Replay::resume(kani::any(), window, crate::replay::any_timestamp());
+        let now = crate::replay::any_timestamp();
+        let tag = |_: &[u8]| {
+            [
+                secret[0], secret[1], secret[2], secret[3], secret[4], secret[5],
+            ]
+        };
+
+        let mut after = replay;
+        let accepted = FrameRef::parse(bytes)
+            .ok()
+            .and_then(|frame| authenticate(frame, &key).ok())
+            .and_then(|authentic| after.admit(authentic, now).ok());
+        kani::cover!(accepted.is_some(), "accepted");
+        kani::cover!(
+            accepted.is_some() && bytes.len() == MAX_FRAME_SIZE,
+            "the longest accepted"
+        );
+        accepted_iff(bytes, &key, replay, now, any_checksum, tag);
+    }
+}

@@ -1,0 +1,182 @@
+//! What became of each packet, and how often.
+
+use core::fmt;
+
+use mavlink_signing::{DecodeError, ParseError, SignError, VerifyError};
+
+/// The way a packet was going.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Direction {
+    /// Towards the radio: to be signed.
+    PlainToSecure,
+    /// From the radio: to be verified.
+    SecureToPlain,
+}
+
+/// Why a packet was not passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+#[repr(u8)]
+pub enum Refusal {
+    /// A MAVLink 1 packet: it has no place for a signature.
+    Mavlink1,
+    /// Unknown incompatibility flags.
+    UnknownIncompatFlags,
+    /// A message that the dialect does not define.
+    UnknownMessage,
+    /// Damaged on its way here.
+    BadChecksum,
+    /// To be signed, but signed already.
+    AlreadySigned,
+    /// To be signed, but the link's timestamps are used up.
+    ClockExhausted,
+    /// To be verified, but not signed.
+    NotSigned,
+    /// Signed with another key, or forged.
+    BadTag,
+    /// Authentic, but made for another link: one's own frames, reflected.
+    WrongLink,
+    /// Authentic, but stamped later than the window allows.
+    FromFuture,
+    /// Authentic, but stamped earlier than the window allows.
+    TooOld,
+    /// Authentic, but not newer than the last accepted frame.
+    Replayed,
+    /// An error that this version of the relay does not know.
+    Other,
+}
+
+impl Refusal {
+    /// Every reason, in the order of [`Refusal`]'s definition.
+    pub const ALL: [Self; 13] = [
+        Self::Mavlink1,
+        Self::UnknownIncompatFlags,
+        Self::UnknownMessage,
+        Self::BadChecksum,
+        Self::AlreadySigned,
+        Self::ClockExhausted,
+        Self::NotSigned,
+        Self::BadTag,
+        Self::WrongLink,
+        Self::FromFuture,
+        Self::TooOld,
+        Self::Replayed,
+        Self::Other,
+    ];
+
+    /// The reason in a few words, as in tables.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Mavlink1 => "MAVLink 1",
+            Self::UnknownIncompatFlags => "unknown flags",
+            Self::UnknownMessage => "unknown message",
+            Self::BadChecksum => "bad checksum",
+            Self::AlreadySigned => "already signed",
+            Self::ClockExhausted => "clock exhausted",
+            Self::NotSigned => "not signed",
+            Self::BadTag => "bad tag",
+            Self::WrongLink => "wrong link",
+            Self::FromFuture => "from the future",
+            Self::TooOld => "too old",
+            Self::Replayed => "replayed",
+            Self::Other => "other",
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl From<DecodeError> for Refusal {
+    fn from(error: DecodeError) -> Self {
+        match error {
+            DecodeError::UnknownIncompatFlags(_) => Self::UnknownIncompatFlags,
+            DecodeError::UnknownMessage(_) => Self::UnknownMessage,
+            DecodeError::BadChecksum(_) => Self::BadChecksum,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<SignError> for Refusal {
+    fn from(error: SignError) -> Self {
+        match error {
+            SignError::UnknownMessage(_) => Self::UnknownMessage,
+            SignError::BadChecksum => Self::BadChecksum,
+            SignError::AlreadySigned => Self::AlreadySigned,
+            SignError::ClockExhausted => Self::ClockExhausted,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<VerifyError> for Refusal {
+    fn from(error: VerifyError) -> Self {
+        match error {
+            VerifyError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
+            VerifyError::NotSigned => Self::NotSigned,
+            VerifyError::UnknownMessage(_) => Self::UnknownMessage,
+            VerifyError::BadChecksum => Self::BadChecksum,
+            VerifyError::BadTag => Self::BadTag,
+            VerifyError::WrongLink(_) => Self::WrongLink,
+            VerifyError::FromFuture => Self::FromFuture,
+            VerifyError::TooOld => Self::TooOld,
+            VerifyError::Replayed => Self::Replayed,
+            _ => Self::Other,
+        }
+    }
+}
+
+/// What became of one packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Event {
+    /// It goes on: signed, or verified.
+    Passed(Direction),
+    /// It does not.
+    Refused(Direction, Refusal),
+}
+
+/// How often each thing happened in one direction. Every count stays at the top of its range.
+///
+/// Anybody who can send bytes can raise the counts of refusals: show them, do not act on them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    passed: u32,
+    refused: [u32; Refusal::ALL.len()],
+}
+
+impl Counters {
+    /// Packets passed on, signed or verified.
+    #[must_use]
+    pub const fn passed(&self) -> u32 {
+        self.passed
+    }
+
+    /// Packets refused for `reason`.
+    #[must_use]
+    pub fn refused(&self, reason: Refusal) -> u32 {
+        self.refused.get(reason as usize).copied().unwrap_or(0)
+    }
+
+    /// Every reason and how often it was given.
+    pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
+        Refusal::ALL.into_iter().zip(self.refused)
+    }
+
+    pub(crate) const fn count_passed(&mut self) {
+        self.passed = self.passed.saturating_add(1);
+    }
+
+    pub(crate) fn count_refused(&mut self, reason: Refusal) {
+        if let Some(count) = self.refused.get_mut(reason as usize) {
+            *count = count.saturating_add(1);
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! The in-line signer: it sits between equipment that cannot sign and a radio.
+//!
+//! ```text
+//! plain side            signed with the key, on one link id            secure side
+//! (autopilot, UART)  ------------------------------------------>  (radio, network)
+//!                    <------------------------------------------
+//!                    only verified frames, of the other link id
+//! ```
+//!
+//! * Plain to secure: a frame is signed only if its own checksum is right. Bad checksums, unknown
+//!   messages, MAVLink 1 and frames that are already signed are refused and counted.
+//! * Secure to plain: only verified frames leave, without signature or whole. Everything else is
+//!   refused and counted by reason. Nothing that came in on the secure side is ever signed.
+//!
+//! The relay knows no UART, no clock and no heap. Its ports are [`embedded_io`] ports that say
+//! whether they are ready, its time comes from a [`Clock`], and [`Relay::poll`] never waits. Each
+//! direction holds one packet being received and one frame being sent, 560 bytes together; when a
+//! port does not take bytes, its direction stops reading until it does, and the other goes on. So
+//! nothing that was read is dropped; a port without flow control has to count its own overruns.
+
+#![no_std]
+#![cfg_attr(
+    not(test),
+    deny(
+        clippy::expect_used,
+        clippy::indexing_slicing,
+        clippy::panic,
+        clippy::unreachable,
+        clippy::unwrap_used
+    )
+)]
+
+mod direction;
+mod event;
+mod pump;
+
+pub use direction::Forward;
+pub use event::{Counters, Direction, Event, Refusal};
+pub use pump::PortError;
+
+use direction::{Signer, Verifier};
+use embedded_io::{Read, ReadReady, Write, WriteReady};
+use mavlink_signing::{Profile, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp};
+use pump::Pump;
+
+/// Silence on a line after which a packet that has begun is given up: 100 milliseconds, in ticks of
+/// 10 microseconds. At 57,600 baud the longest frame takes 49 milliseconds.
+pub const IDLE: u64 = TICKS_PER_SECOND / 10;
+
+/// Where the relay takes the time from.
+///
+/// It must be shared with the peer as closely as the [`Replay`]'s window asks for.
+pub trait Clock {
+    /// The time now.
+    fn now(&mut self) -> Timestamp;
+}
+
+impl<F: FnMut() -> Timestamp> Clock for F {
+    fn now(&mut self) -> Timestamp {
+        self()
+    }
+}
+
+/// A port that can be polled.
+pub trait Port: Read + ReadReady + Write + WriteReady {}
+
+impl<T: Read + ReadReady + Write + WriteReady> Port for T {}
+
+/// The ids of the two directions are the same, so that a frame sent out and reflected would be
+/// taken for the peer's. Whoever set up the link is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SameLinkId(
+    /// The id.
+    pub u8,
+);
+
+impl core::fmt::Display for SameLinkId {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "both directions have link id {}", self.0)
+    }
+}
+
+impl core::error::Error for SameLinkId {}
+
+/// What [`Relay::poll`] did in each direction: whether there is more to do, or which port failed.
+///
+/// A failure of one direction does not keep the other from its turn; the next poll tries again,
+/// nothing that was read is lost.
+#[derive(Debug)]
+#[must_use = "a port may have failed"]
+pub struct Polled<PlainError, SecureError> {
+    /// From the plain port to the secure port.
+    pub plain_to_secure: Result<bool, PortError<PlainError, SecureError>>,
+    /// From the secure port to the plain port.
+    pub secure_to_plain: Result<bool, PortError<SecureError, PlainError>>,
+}
+
+impl<PlainError, SecureError> Polled<PlainError, SecureError> {
+    /// Whether to poll again at once.
+    pub const fn moved(&self) -> bool {
+        matches!(self.plain_to_secure, Ok(true)) || matches!(self.secure_to_plain, Ok(true))
+    }
+}
+
+/// The in-line signer. See the [crate's documentation](crate).
+#[derive(Debug)]
+pub struct Relay<P> {
+    key: SigningKey<P>,
+    plain_to_secure: Pump<Signer>,
+    secure_to_plain: Pump<Verifier>,
+}
+
+impl<P: Profile> Relay<P> {
+    /// A relay that signs with `key` and the stamps of `stamper`, verifies with `key` and
+    /// `replay`, and hands verified frames on as `forward` says.
+    ///
+    /// # Errors
+    ///
+    /// [`SameLinkId`] unless `stamper` and `replay` are for different links.
+    pub fn new(
+        key: SigningKey<P>,
+        stamper: Stamper,
+        replay: Replay,
+        forward: Forward,
+    ) -> Result<Self, SameLinkId> {
+        if stamper.link_id() == replay.link_id() {
+            return Err(SameLinkId(replay.link_id()));
+        }
+        Ok(Self {
+            key,
+            plain_to_secure: Pump::new(Signer::new(stamper)),
+            secure_to_plain: Pump::new(Verifier::new(replay, forward)),
+        })
+    }
+
+    /// Moves what can be moved without waiting, once in each direction: sends what is left of the
+    /// last frame, then looks at the next packet, then reads up to 64 bytes.
+    ///
+    /// `observe` sees what became of each packet, in order. Call it again at once while
+    /// [`Polled::moved`]; otherwise when a port has become ready, and at least every
+    /// [`IDLE`].
+    pub fn poll<Plain: Port, Secure: Port>(
+        &mut self,
+        plain: &mut Plain,
+        secure: &mut Secure,
+        clock: &mut impl Clock,
+        observe: &mut impl FnMut(Event),
+    ) -> Polled<Plain::Error, Secure::Error> {
+        let Self {
+            key,
+            plain_to_secure,
+            secure_to_plain,
+        } = self;
+        Polled {
+            plain_to_secure: plain_to_secure.poll(plain, secure, key, clock, observe),
+            secure_to_plain: secure_to_plain.poll(secure, plain, key, clock, observe),
+        }
+    }
+
+    /// What has been signed and refused on its way from the plain to the secure side.
+    pub const fn plain_to_secure(&self) -> &Counters {
+        self.plain_to_secure.counters()
+    }
+
+    /// What has been verified and refused on its way from the secure to the plain side.
+    pub const fn secure_to_plain(&self) -> &Counters {
+        self.secure_to_plain.counters()
+    }
+}

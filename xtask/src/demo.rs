@@ -1,0 +1,548 @@
+//! `cargo xtask demo`: recorded telemetry through the signer on an emulated Cortex-M7.
+
+mod wire;
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    io::{Read, Write},
+    net::TcpStream,
+    path::Path,
+    sync::mpsc::{self, Receiver, RecvTimeoutError},
+    thread,
+    time::{Duration, Instant, SystemTime},
+};
+
+use anyhow::{Context, Result, ensure};
+use clap::{Args, ValueEnum};
+use comfy_table::{CellAlignment, Table, presets};
+
+use crate::{
+    firmware::{self, Image},
+    qemu::Machine,
+};
+use wire::Frame;
+
+/// The link ids that the firmware signs and verifies with: `chips/qemu-m7/src/bin/relay.rs`.
+const LINK_OUT: u8 = 1;
+const LINK_IN: u8 = 2;
+/// How far the peer's clock is behind this machine's, so that it is never ahead of the firmware's.
+const BEHIND: Duration = Duration::from_millis(50);
+const TICKS_PER_SECOND: u64 = 100_000;
+/// How long the firmware may say nothing while something is expected of it.
+const PATIENCE: Duration = Duration::from_secs(6);
+/// Frames of each kind that must be refused.
+const EACH: usize = 25;
+/// Authentic frames from the peer, before and again after those.
+const FROM_PEER: usize = 200;
+
+/// Options of `cargo xtask demo`.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// Which firmware to boot; with the echo, which signs nothing, the demonstration fails
+    #[arg(long, value_enum, default_value = "relay")]
+    firmware: Firmware,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Firmware {
+    Relay,
+    Echo,
+}
+
+/// Runs the demonstration.
+///
+/// # Errors
+/// If anything came out that should not have, or did not come out that should have.
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let elf = firmware::build(&Image {
+        package: "mavseal-qemu-m7",
+        bin: match options.firmware {
+            Firmware::Relay => "relay",
+            Firmware::Echo => "echo",
+        },
+        profile: "release",
+        features: &["ardupilotmega"],
+        default_features: true,
+        target: "thumbv7em-none-eabihf",
+    })?;
+    let telemetry = wire::telemetry()?;
+    let mut demo = Demo::boot(&elf)?;
+
+    println!(
+        "Plain side: {} frames of recorded telemetry",
+        telemetry.len()
+    );
+    let signed = demo.sign(&telemetry)?;
+    println!("Secure side: the peer, and what it must not get through");
+    demo.verify(&telemetry, &signed)?;
+    demo.finish()
+}
+
+/// What is sent as one kind, and what must become of it.
+struct Act {
+    name: &'static str,
+    frames: usize,
+    /// Why the firmware must refuse it; `None` if it must pass it on.
+    refusal: Option<&'static str>,
+    passed: usize,
+    refused: usize,
+}
+
+/// The firmware and what it has been seen to do.
+struct Demo {
+    machine: Machine,
+    plain: Port,
+    secure: Port,
+    log: Receiver<String>,
+    lines: Vec<String>,
+    key: Vec<u8>,
+    last_stamp: u64,
+    plain_to_secure: Vec<Act>,
+    secure_to_plain: Vec<Act>,
+    failures: Vec<String>,
+    started: Instant,
+}
+
+impl Demo {
+    fn boot(elf: &Path) -> Result<Self> {
+        let key = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips/qemu-m7/demo.key");
+        let key = fs::read(&key).with_context(|| key.display().to_string())?;
+        let (send, log) = mpsc::channel();
+        // The receiver is gone only when nobody wants to know any more.
+        let mut machine = Machine::boot(elf, 2, move |line| drop(send.send(line.to_string())))?;
+        let [plain, secure]: [TcpStream; 2] = std::mem::take(&mut machine.serial)
+            .try_into()
+            .ok()
+            .context("two serial ports")?;
+        let mut demo = Self {
+            machine,
+            plain: Port::new(plain)?,
+            secure: Port::new(secure)?,
+            log,
+            lines: Vec::new(),
+            key,
+            last_stamp: 0,
+            plain_to_secure: Vec::new(),
+            secure_to_plain: Vec::new(),
+            failures: Vec::new(),
+            started: Instant::now(),
+        };
+        // It speaks when its clock is set and its ports are open.
+        let line = demo.log.recv_timeout(PATIENCE);
+        demo.lines.push(line.context("the firmware says nothing")?);
+        demo.started = Instant::now();
+        Ok(demo)
+    }
+
+    /// Telemetry and things that must not be signed, into the plain side; gives the signed frames.
+    fn sign(&mut self, telemetry: &[Frame]) -> Result<Vec<Frame>> {
+        let mut acts = Acts::new(telemetry);
+        acts.add("recorded telemetry", None, telemetry.to_vec());
+        acts.add("damaged", Some("bad checksum"), acts.damaged());
+        acts.add(
+            "unknown message",
+            Some("unknown message"),
+            acts.unknown_message(),
+        );
+        acts.add("MAVLink 1", Some("MAVLink 1"), mavlink1());
+        let key = &self.key;
+        let already = acts.plain(|frame| wire::sign(frame, key, LINK_OUT, ticks_now()));
+        acts.add("already signed", Some("already signed"), already);
+
+        let came = exchange(
+            &mut self.plain,
+            &mut self.secure,
+            &acts.stream(),
+            telemetry.len(),
+        )?;
+        let mut last = 0;
+        for (at, frame) in came.frames.iter().enumerate() {
+            let Some(original) = telemetry.get(at) else {
+                break;
+            };
+            if frame[2] & 1 == 0 {
+                self.failures
+                    .push(format!("frame {at} left the secure side unsigned"));
+                break;
+            }
+            let ticks = wire::ticks(frame);
+            if *frame != wire::sign(original, &self.key, LINK_OUT, ticks) {
+                self.failures
+                    .push(format!("frame {at} is not the telemetry's, signed"));
+            }
+            if ticks <= last {
+                self.failures
+                    .push(format!("the stamp of frame {at} is not newer"));
+            }
+            last = ticks;
+        }
+        self.failures.extend(came.failure);
+        self.plain_to_secure = self.judge(acts, "PlainToSecure", came.frames.len());
+        Ok(came.frames)
+    }
+
+    /// The peer's frames and everything that must not pass, into the secure side.
+    fn verify(&mut self, telemetry: &[Frame], reflected: &[Frame]) -> Result<()> {
+        let key = self.key.clone();
+        let mut acts = Acts::new(telemetry);
+        let mut stamp = || {
+            let ticks = ticks_now() - ticks_in(BEHIND);
+            self.last_stamp = ticks.max(self.last_stamp + 1);
+            self.last_stamp
+        };
+        let mut sign = |frames: &[Frame]| -> Vec<Frame> {
+            let frames = frames.iter();
+            frames
+                .map(|frame| wire::sign(frame, &key, LINK_IN, stamp()))
+                .collect()
+        };
+        // They are stamped before they are sent: all of them must arrive within the window.
+        let telemetry = &telemetry[..2 * FROM_PEER];
+        let (first, then) = telemetry.split_at(FROM_PEER);
+        let authentic = sign(first);
+        let forge = |forge: &dyn Fn(&mut Frame)| {
+            acts.plain(|frame| {
+                let mut signed = wire::sign(frame, &key, LINK_IN, ticks_now());
+                forge(&mut signed);
+                signed
+            })
+        };
+        let payload = forge(&|frame| {
+            frame[10] ^= 1;
+            wire::repair(frame);
+        });
+        let tag = forge(&|frame| flip(frame, 1));
+        let link = forge(&|frame| flip(frame, 13));
+        let ticks = forge(&|frame| flip(frame, 12));
+        let other_key = acts.plain(|frame| wire::sign(frame, &[0x5A; 32], LINK_IN, ticks_now()));
+        let other_link = acts.plain(|frame| wire::sign(frame, &key, 3, ticks_now()));
+        let future = ticks_now() + 60 * TICKS_PER_SECOND;
+        let future = acts.plain(|frame| wire::sign(frame, &key, LINK_IN, future));
+        let old = ticks_now() - 11 * TICKS_PER_SECOND;
+        let old = acts.plain(|frame| wire::sign(frame, &key, LINK_IN, old));
+        let replayed = authentic.iter().take(EACH).cloned().collect();
+        let reflected = reflected.iter().take(EACH).cloned().collect();
+
+        acts.add("authentic, from the peer", None, authentic);
+        acts.add("the same again", Some("replayed"), replayed);
+        acts.add("own frames, reflected", Some("wrong link"), reflected);
+        acts.add("made for another link", Some("wrong link"), other_link);
+        acts.add(
+            "payload changed, checksum repaired",
+            Some("bad tag"),
+            payload,
+        );
+        acts.add("tag changed", Some("bad tag"), tag);
+        acts.add("link id changed", Some("bad tag"), link);
+        acts.add("timestamp changed", Some("bad tag"), ticks);
+        acts.add("another key", Some("bad tag"), other_key);
+        acts.add("stamped a minute ahead", Some("from the future"), future);
+        acts.add("stamped 11 seconds ago", Some("too old"), old);
+        acts.add("unsigned", Some("not signed"), acts.plain(<[u8]>::to_vec));
+        acts.add("damaged", Some("bad checksum"), acts.damaged());
+        acts.add("MAVLink 1", Some("MAVLink 1"), mavlink1());
+        // None of it has moved the receiver's clock or window.
+        acts.add("authentic, after all that", None, sign(then));
+
+        let came = exchange(
+            &mut self.secure,
+            &mut self.plain,
+            &acts.stream(),
+            telemetry.len(),
+        )?;
+        for (at, frame) in came.frames.iter().enumerate() {
+            if telemetry.get(at) != Some(frame) {
+                self.failures
+                    .push(format!("frame {at} on the plain side is not the peer's"));
+            }
+        }
+        self.failures.extend(came.failure);
+        self.secure_to_plain = self.judge(acts, "SecureToPlain", came.frames.len());
+        Ok(())
+    }
+
+    /// Compares the firmware's log with what had to be refused, in order.
+    fn judge(&mut self, acts: Acts, direction: &str, passed: usize) -> Vec<Act> {
+        let mut acts = acts.acts;
+        let prefix = format!("[INFO ] {direction} refused: ");
+        let expected: Vec<&str> = acts
+            .iter()
+            .flat_map(|act| act.refusal.map(|refusal| vec![refusal; act.frames]))
+            .flatten()
+            .collect();
+        let mut said = Vec::new();
+        // The summary that follows a second of silence says that nothing more comes.
+        while let Ok(line) = self.log.recv_timeout(PATIENCE) {
+            said.extend(line.strip_prefix(&prefix).map(ToOwned::to_owned));
+            let end = line.starts_with("[INFO ] verified: ");
+            self.lines.push(line);
+            if end {
+                break;
+            }
+        }
+        if said != expected {
+            self.failures.push(format!(
+                "{direction}: {} refusals expected, {} logged, or for other reasons",
+                expected.len(),
+                said.len()
+            ));
+        }
+        let mut said = said.into_iter();
+        let mut passed = passed;
+        for act in &mut acts {
+            match act.refusal {
+                None => {
+                    act.passed = passed.min(act.frames);
+                    passed -= act.passed;
+                }
+                Some(refusal) => {
+                    let of_this = said.by_ref().take(act.frames);
+                    act.refused = of_this.filter(|reason| reason == refusal).count();
+                }
+            }
+            let done = if act.refusal.is_some() {
+                act.refused
+            } else {
+                act.passed
+            };
+            if done != act.frames {
+                self.failures
+                    .push(format!("{}: {done} of {} frames", act.name, act.frames));
+            }
+        }
+        if passed > 0 {
+            self.failures
+                .push(format!("{direction}: {passed} frames passed that must not"));
+        }
+        acts
+    }
+
+    /// Prints the log and the table; fails if anything was not as it must be.
+    fn finish(mut self) -> Result<()> {
+        let took = self.started.elapsed();
+        self.machine.stop()?;
+        self.lines.extend(self.log.try_iter());
+        println!("\nThe firmware's log:");
+        print_log(&self.lines);
+        println!("\n{}", table("signed", &self.plain_to_secure));
+        println!("{}", table("verified", &self.secure_to_plain));
+        println!(
+            "plain side:  {} bytes in, {} bytes out\nsecure side: {} bytes in, {} bytes out\ntime: {:.1} s",
+            self.plain.sent,
+            self.plain.received,
+            self.secure.sent,
+            self.secure.received,
+            took.as_secs_f32(),
+        );
+        ensure!(
+            self.failures.is_empty(),
+            "the demonstration failed:\n  {}",
+            self.failures.join("\n  ")
+        );
+        println!("Every frame was as it had to be.");
+        Ok(())
+    }
+}
+
+/// What is sent into one side, in order.
+struct Acts {
+    acts: Vec<Act>,
+    frames: Vec<Frame>,
+    /// Frames without a byte inside that looks like the beginning of another, so that a damaged
+    /// one is refused once and not again for what it seems to contain.
+    samples: Vec<Frame>,
+}
+
+impl Acts {
+    fn new(telemetry: &[Frame]) -> Self {
+        let samples = telemetry
+            .iter()
+            .filter(|frame| !frame[1..].iter().any(|byte| [0xFD, 0xFE].contains(byte)))
+            .take(EACH)
+            .cloned()
+            .collect();
+        Self {
+            acts: Vec::new(),
+            frames: Vec::new(),
+            samples,
+        }
+    }
+
+    fn add(&mut self, name: &'static str, refusal: Option<&'static str>, frames: Vec<Frame>) {
+        self.acts.push(Act {
+            name,
+            frames: frames.len(),
+            refusal,
+            passed: 0,
+            refused: 0,
+        });
+        self.frames.extend(frames);
+    }
+
+    fn stream(&self) -> Vec<u8> {
+        self.frames.concat()
+    }
+
+    fn plain(&self, make: impl FnMut(&[u8]) -> Frame) -> Vec<Frame> {
+        self.samples.iter().map(Vec::as_slice).map(make).collect()
+    }
+
+    fn damaged(&self) -> Vec<Frame> {
+        self.plain(|frame| {
+            let mut frame = frame.to_vec();
+            frame[10] ^= 0x40;
+            frame
+        })
+    }
+
+    fn unknown_message(&self) -> Vec<Frame> {
+        self.plain(|frame| {
+            let mut frame = frame.to_vec();
+            frame[7..10].copy_from_slice(&[0xF0, 0xF0, 0xF0]);
+            frame
+        })
+    }
+}
+
+/// Changes the byte that is `from_end` bytes from the end.
+fn flip(frame: &mut Frame, from_end: usize) {
+    let at = frame.len() - from_end;
+    frame[at] ^= 1;
+}
+
+/// HEARTBEATs of MAVLink 1.
+fn mavlink1() -> Vec<Frame> {
+    let heartbeat = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
+    vec![heartbeat.to_vec(); EACH]
+}
+
+/// This machine's time, in signing time.
+fn ticks_now() -> u64 {
+    let epoch = SystemTime::UNIX_EPOCH + Duration::from_secs(1_420_070_400);
+    // A clock before 2015 shows in the first verdict.
+    ticks_in(SystemTime::now().duration_since(epoch).unwrap_or_default())
+}
+
+fn ticks_in(duration: Duration) -> u64 {
+    (duration.as_micros() / 10) as u64
+}
+
+/// One side of the firmware.
+struct Port {
+    stream: TcpStream,
+    received: usize,
+    sent: usize,
+    bytes: Receiver<Vec<u8>>,
+}
+
+impl Port {
+    fn new(stream: TcpStream) -> Result<Self> {
+        let mut reader = stream.try_clone()?;
+        let (send, bytes) = mpsc::channel();
+        thread::spawn(move || {
+            let mut buffer = [0; 4096];
+            // Ends with the emulator, or when nobody listens any more.
+            while let Ok(length @ 1..) = reader.read(&mut buffer) {
+                if send.send(buffer[..length].to_vec()).is_err() {
+                    break;
+                }
+            }
+        });
+        Ok(Self {
+            stream,
+            received: 0,
+            sent: 0,
+            bytes,
+        })
+    }
+}
+
+/// The frames that came, and why no more are looked at.
+struct Came {
+    frames: Vec<Frame>,
+    failure: Option<String>,
+}
+
+/// Sends `stream` into one port and collects what comes out of the other, until nothing more does.
+fn exchange(into: &mut Port, out_of: &mut Port, stream: &[u8], expected: usize) -> Result<Came> {
+    let mut writer = into.stream.try_clone()?;
+    into.sent += stream.len();
+    let mut came = Came {
+        frames: Vec::new(),
+        failure: None,
+    };
+    thread::scope(|scope| {
+        let writing = scope.spawn(move || writer.write_all(stream));
+        let mut pending = Vec::new();
+        loop {
+            // When all has come, only a moment for what must not come.
+            let all = came.frames.len() >= expected && writing.is_finished();
+            let wait = if all { PATIENCE / 20 } else { PATIENCE };
+            match out_of.bytes.recv_timeout(wait) {
+                Ok(bytes) => {
+                    out_of.received += bytes.len();
+                    pending.extend(bytes);
+                    match wire::take_frames(&mut pending) {
+                        Ok(frames) => came.frames.extend(frames),
+                        Err(error) if came.failure.is_none() => {
+                            came.failure = Some(error.to_string());
+                        }
+                        Err(_) => {}
+                    }
+                }
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        if !writing.is_finished() {
+            came.failure = Some("the firmware takes no more bytes".into());
+            // Ends the write.
+            into.stream.shutdown(std::net::Shutdown::Both)?;
+        }
+        if !pending.is_empty() {
+            came.failure.get_or_insert("half a frame came out".into());
+        }
+        Ok(came)
+    })
+}
+
+/// The log, equal lines in a row as one.
+fn print_log(lines: &[String]) {
+    for run in lines.chunk_by(|a, b| a == b) {
+        match run {
+            [line] => println!("  {line}"),
+            _ => println!("  {}   ({} times)", run[0], run.len()),
+        }
+    }
+}
+
+fn table(passed: &str, acts: &[Act]) -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::NOTHING);
+    table.set_header(["sent", "frames", passed, "refused", "because"]);
+    let mut total = BTreeMap::new();
+    for act in acts {
+        table.add_row([
+            act.name.to_owned(),
+            act.frames.to_string(),
+            act.passed.to_string(),
+            act.refused.to_string(),
+            act.refusal.unwrap_or_default().to_owned(),
+        ]);
+        for (column, count) in [act.frames, act.passed, act.refused]
+            .into_iter()
+            .enumerate()
+        {
+            *total.entry(column).or_insert(0) += count;
+        }
+    }
+    let mut row = vec!["all".to_owned()];
+    row.extend(total.values().map(ToString::to_string));
+    table.add_row(row);
+    for column in 1..=3 {
+        if let Some(column) = table.column_mut(column) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+    }
+    table
+}

@@ -1,0 +1,53 @@
+//! Every developer verb of mavseal: `cargo xtask <verb>`.
+
+mod demo;
+mod firmware;
+mod qemu;
+mod setup;
+mod tables;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(name = "cargo xtask", about = "Every developer verb of mavseal")]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
+    Demo(demo::Options),
+    /// Build the shipped firmware images and hold them to their budgets
+    Firmware(firmware::Options),
+    /// Run firmware in QEMU, print its log and exit with its status
+    RunQemu(qemu::Options),
+    /// Generate the message tables in `mavlink/src/dialect` from the published definitions
+    Tables {
+        /// Change nothing; fail if a committed table differs
+        #[arg(long)]
+        check: bool,
+    },
+}
+
+fn main() -> ExitCode {
+    match run(Cli::parse().verb) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(verb: Verb) -> anyhow::Result<()> {
+    match verb {
+        Verb::Demo(options) => demo::run(&options),
+        Verb::Firmware(options) => firmware::run(&options),
+        Verb::RunQemu(options) => qemu::run(&options),
+        Verb::Tables { check } => tables::run(check),
+    }
+}
