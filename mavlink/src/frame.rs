@@ -28,13 +28,13 @@ pub struct Signature {
 
 impl Signature {
     const fn from_wire(wire: &[u8; SIGNATURE_SIZE]) -> Self {
-        let [link_id, a, b, c, d, e, f, tag @ ..] = *wire;
+        let [link_id, a, b, c, d, e, f, t, u, v, w, x, y] = *wire;
         Self {
             stamp: Stamp {
                 link_id,
                 timestamp: Timestamp::from_wire([a, b, c, d, e, f]),
             },
-            tag,
+            tag: [t, u, v, w, x, y],
         }
     }
 }

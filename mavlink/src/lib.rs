@@ -35,3 +35,8 @@ pub use replay::Replay;
 pub use sign::sign_frame;
 pub use time::{Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
 pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};
+
+/// The project's README, so that its example is compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+mod readme {}

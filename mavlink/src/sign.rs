@@ -9,8 +9,8 @@ use crate::time::Stamp;
 /// Signs `frame`: sets the signed flag (incompatibility flag 0x01), computes the checksum anew,
 /// and appends link id, timestamp and the 6-byte tag over everything before it.
 ///
-/// Takes what a [`Stamper`](crate::Stamper) gives, or its error, as `stamp`'s source; sign when
-/// sending, not earlier: a frame that waits grows old (MAVLink guide, "Message Signing").
+/// `stamp` comes from the link's [`Stamper`](crate::Stamper). Sign when sending, not earlier: the
+/// receiver refuses a frame that has waited longer than its window.
 ///
 /// # Errors
 ///

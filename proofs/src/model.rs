@@ -2,7 +2,6 @@
 
 use core::sync::atomic::{AtomicU16, Ordering};
 
-use mavlink_signing::field::TAG_SIZE;
 use mavlink_signing::{KEY_SIZE, Profile, Tag};
 
 /// A profile whose tag is the first 6 bytes of the key, whatever is covered.
@@ -14,37 +13,8 @@ pub struct AnyTag(Tag);
 
 impl Profile for AnyTag {
     fn new(key: &[u8; KEY_SIZE]) -> Self {
-        let [
-            tag @ ..,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-            _,
-        ] = *key;
-        let _: [u8; TAG_SIZE] = tag;
-        Self(tag)
+        let [a, b, c, d, e, f, ..] = *key;
+        Self([a, b, c, d, e, f])
     }
 
     fn tag(&self, _covered: &[u8]) -> Tag {

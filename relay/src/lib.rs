@@ -38,6 +38,8 @@ pub use direction::Forward;
 pub use event::{Counters, Direction, Event, Refusal};
 pub use pump::PortError;
 
+use core::fmt;
+
 use direction::{Signer, Verifier};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{Profile, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp};
@@ -75,8 +77,8 @@ pub struct SameLinkId(
     pub u8,
 );
 
-impl core::fmt::Display for SameLinkId {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+impl fmt::Display for SameLinkId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "both directions have link id {}", self.0)
     }
 }
@@ -104,11 +106,19 @@ impl<PlainError, SecureError> Polled<PlainError, SecureError> {
 }
 
 /// The in-line signer. See the [crate's documentation](crate).
-#[derive(Debug)]
 pub struct Relay<P> {
     key: SigningKey<P>,
     plain_to_secure: Pump<Signer>,
     secure_to_plain: Pump<Verifier>,
+}
+
+impl<P> fmt::Debug for Relay<P> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Relay")
+            .field("plain_to_secure", self.plain_to_secure.counters())
+            .field("secure_to_plain", self.secure_to_plain.counters())
+            .finish_non_exhaustive()
+    }
 }
 
 impl<P: Profile> Relay<P> {

@@ -41,7 +41,7 @@ const BUDGETS: &[Budget] = &[Budget {
         package: "mavseal-qemu-m7",
         bin: "demo",
         profile: "release-deploy",
-        features: &[],
+        features: &["common"],
         default_features: false,
         target: "thumbv7em-none-eabihf",
     },
@@ -50,7 +50,7 @@ const BUDGETS: &[Budget] = &[Budget {
 }];
 
 /// Options of `cargo xtask firmware`.
-#[derive(Args)]
+#[derive(Args, Default)]
 pub(crate) struct Options {
     /// Also list the sections of each image
     #[arg(long)]

@@ -1,5 +1,6 @@
 //! Every developer verb of mavseal: `cargo xtask <verb>`.
 
+mod check;
 mod demo;
 mod firmware;
 mod qemu;
@@ -25,6 +26,8 @@ enum Verb {
     Firmware(firmware::Options),
     /// Run firmware in QEMU, print its log and exit with its status
     RunQemu(qemu::Options),
+    /// Check everything that must hold
+    Test(check::Options),
     /// Generate the message tables in `mavlink/src/dialect` from the published definitions
     Tables {
         /// Change nothing; fail if a committed table differs
@@ -48,6 +51,7 @@ fn run(verb: Verb) -> anyhow::Result<()> {
         Verb::Demo(options) => demo::run(&options),
         Verb::Firmware(options) => firmware::run(&options),
         Verb::RunQemu(options) => qemu::run(&options),
+        Verb::Test(options) => check::run(&options),
         Verb::Tables { check } => tables::run(check),
     }
 }

@@ -37,7 +37,7 @@ pub(crate) fn qemu(sh: &Shell) -> Result<PathBuf> {
         machines
             .lines()
             .any(|line| line.split_whitespace().next() == Some(MACHINE)),
-        "{} does not know the machine {MACHINE}; QEMU 6.0 or newer does",
+        "{} does not know the machine {MACHINE}; a newer QEMU does",
         qemu.display(),
     );
     Ok(qemu)

@@ -52,8 +52,8 @@ pub fn crc_extra(id: MessageId) -> Option<u8> {
 #[must_use]
 pub fn messages() -> impl ExactSizeIterator<Item = (MessageId, u8)> + Clone {
     ROWS.iter().map(|row| {
-        let [crc_extra, id @ ..] = row.to_le_bytes();
-        (MessageId::from_le_bytes(id), crc_extra)
+        let [crc_extra, a, b, c] = row.to_le_bytes();
+        (MessageId::from_le_bytes([a, b, c]), crc_extra)
     })
 }
 

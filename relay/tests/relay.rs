@@ -1,0 +1,439 @@
+//! The in-line signer on the host, over ports in memory.
+
+use std::collections::VecDeque;
+
+use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
+use mavlink_signing::{
+    Frame, Header, Hmac, MessageId, Replay, SigningKey, Stamp, Stamper, Timestamp, Window,
+    sign_frame,
+};
+use mavseal_relay::{Counters, Direction, Event, Forward, IDLE, PortError, Refusal, Relay};
+
+const KEY: [u8; 32] = *b"a key for tests, known to anyone";
+const LINK_OUT: u8 = 1;
+const LINK_IN: u8 = 2;
+const NOW: u64 = 37_555_200_000_000;
+
+/// A port of which the test is the other end.
+#[derive(Default)]
+struct Line {
+    input: VecDeque<u8>,
+    output: Vec<u8>,
+    /// Bytes that may still be written before the port is not ready.
+    room: usize,
+    /// Bytes taken by one write at most.
+    at_once: usize,
+    broken: bool,
+}
+
+impl Line {
+    fn new() -> Self {
+        Self {
+            room: usize::MAX,
+            at_once: usize::MAX,
+            ..Self::default()
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Broken;
+
+impl std::fmt::Display for Broken {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("broken")
+    }
+}
+
+impl std::error::Error for Broken {}
+
+impl embedded_io::Error for Broken {
+    fn kind(&self) -> ErrorKind {
+        ErrorKind::Other
+    }
+}
+
+impl ErrorType for Line {
+    type Error = Broken;
+}
+
+impl ReadReady for Line {
+    fn read_ready(&mut self) -> Result<bool, Broken> {
+        if self.broken {
+            return Err(Broken);
+        }
+        Ok(!self.input.is_empty())
+    }
+}
+
+impl Read for Line {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Broken> {
+        assert!(!self.input.is_empty(), "the relay never waits for input");
+        Ok(std::io::Read::read(&mut self.input, buffer).expect("memory"))
+    }
+}
+
+impl WriteReady for Line {
+    fn write_ready(&mut self) -> Result<bool, Broken> {
+        Ok(self.room > 0)
+    }
+}
+
+impl Write for Line {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Broken> {
+        assert!(self.room > 0, "the relay never waits for output");
+        let count = bytes.len().min(self.room).min(self.at_once);
+        self.output.extend(&bytes[..count]);
+        self.room -= count;
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> Result<(), Broken> {
+        Ok(())
+    }
+}
+
+/// A relay, its two lines and its clock.
+struct Bench {
+    relay: Relay<Hmac>,
+    plain: Line,
+    secure: Line,
+    now: u64,
+    events: Vec<Event>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self::with(Stamper::new(LINK_OUT), Forward::Stripped)
+    }
+
+    fn with(stamper: Stamper, forward: Forward) -> Self {
+        let replay = Replay::new(LINK_IN, Window::SEED);
+        Self {
+            relay: Relay::new(key(), stamper, replay, forward).expect("different links"),
+            plain: Line::new(),
+            secure: Line::new(),
+            now: NOW,
+            events: Vec::new(),
+        }
+    }
+
+    /// Polls until nothing moves.
+    fn run(&mut self) {
+        while self.poll().moved() {}
+    }
+
+    fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
+        let mut clock = || at(self.now);
+        self.relay.poll(
+            &mut self.plain,
+            &mut self.secure,
+            &mut clock,
+            &mut |event| self.events.push(event),
+        )
+    }
+
+    fn plain_in(&mut self, bytes: &[u8]) {
+        self.plain.input.extend(bytes);
+        self.run();
+    }
+
+    fn secure_in(&mut self, bytes: &[u8]) {
+        self.secure.input.extend(bytes);
+        self.run();
+    }
+}
+
+fn key() -> SigningKey<Hmac> {
+    SigningKey::new(&KEY).expect("a key")
+}
+
+fn at(ticks: u64) -> Timestamp {
+    Timestamp::from_ticks(ticks).expect("48 bits")
+}
+
+fn unsigned(payload: &[u8]) -> Frame {
+    let header = Header {
+        compat_flags: 0x40,
+        sequence: 9,
+        system_id: 1,
+        component_id: 1,
+        message_id: MessageId::from(0),
+    };
+    Frame::new(header, payload).expect("a frame")
+}
+
+fn signed(payload: &[u8], link_id: u8, ticks: u64) -> Frame {
+    let mut frame = unsigned(payload);
+    let stamp = Stamp {
+        link_id,
+        timestamp: at(ticks),
+    };
+    sign_frame(&mut frame, &key(), stamp).expect("signed");
+    frame
+}
+
+/// Every reason that has been counted, and how often.
+fn refusals(counters: &Counters) -> Vec<(Refusal, u32)> {
+    let counted = counters.refusals();
+    counted.filter(|(_, count)| *count > 0).collect()
+}
+
+/// `bytes` with the bits of `flip` changed at `offset`.
+fn damaged(bytes: &[u8], offset: usize, flip: u8) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    bytes[offset] ^= flip;
+    bytes
+}
+
+const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
+
+#[test]
+fn signs_what_comes_from_the_plain_side() {
+    let mut bench = Bench::new();
+    for length in [0, 1, 9, 255] {
+        bench.plain_in(unsigned(&vec![7; length]).as_bytes());
+        bench.now += 100;
+    }
+    let mut expected = Vec::new();
+    for (i, length) in [0, 1, 9, 255].into_iter().enumerate() {
+        let frame = signed(&vec![7; length], LINK_OUT, NOW + 100 * i as u64);
+        let (covered, tag) = frame.as_bytes().split_at(frame.as_bytes().len() - 6);
+        assert_eq!(tag, &hmac_sha256::HMAC::mac(covered, KEY)[..6]);
+        expected.extend(frame.as_bytes());
+    }
+    assert_eq!(bench.secure.output, expected);
+    assert!(bench.plain.output.is_empty());
+    assert_eq!(bench.relay.plain_to_secure().passed(), 4);
+    assert_eq!(bench.events, [Event::Passed(Direction::PlainToSecure); 4]);
+}
+
+#[test]
+fn what_must_not_be_signed_is_refused_and_counted() {
+    let mut bench = Bench::new();
+    let frame = unsigned(&[1, 2, 3]);
+    bench.plain_in(&damaged(frame.as_bytes(), 10, 4));
+    bench.plain_in(&damaged(frame.as_bytes(), 9, 0x80));
+    bench.plain_in(&damaged(frame.as_bytes(), 2, 0x20));
+    bench.plain_in(&MAVLINK1);
+    bench.plain_in(signed(&[1, 2, 3], LINK_OUT, NOW).as_bytes());
+    bench.plain_in(b"noise");
+    assert!(bench.secure.output.is_empty());
+    assert_eq!(
+        refusals(bench.relay.plain_to_secure()),
+        [
+            (Refusal::Mavlink1, 1),
+            (Refusal::UnknownIncompatFlags, 1),
+            (Refusal::UnknownMessage, 1),
+            (Refusal::BadChecksum, 1),
+            (Refusal::AlreadySigned, 1),
+        ]
+    );
+    assert_eq!(refusals(bench.relay.secure_to_plain()), []);
+    let refused = Event::Refused(Direction::PlainToSecure, Refusal::BadChecksum);
+    assert_eq!(bench.events.first(), Some(&refused));
+
+    bench.plain_in(frame.as_bytes());
+    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+}
+
+#[test]
+fn verified_frames_leave_unsigned_or_whole() {
+    let frame = signed(&[1, 2, 3], LINK_IN, NOW);
+    let mut bench = Bench::new();
+    bench.secure_in(frame.as_bytes());
+    assert_eq!(bench.plain.output, unsigned(&[1, 2, 3]).as_bytes());
+
+    let mut bench = Bench::with(Stamper::new(LINK_OUT), Forward::Whole);
+    bench.secure_in(frame.as_bytes());
+    assert_eq!(bench.plain.output, frame.as_bytes());
+}
+
+#[test]
+fn everything_else_from_the_secure_side_is_refused_and_counted() {
+    let mut bench = Bench::new();
+    let good = signed(&[1, 2, 3], LINK_IN, NOW);
+    bench.secure_in(good.as_bytes());
+    bench.plain.output.clear();
+
+    bench.secure_in(good.as_bytes());
+    bench.secure_in(unsigned(&[1]).as_bytes());
+    bench.secure_in(signed(&[1], LINK_OUT, NOW + 1).as_bytes());
+    bench.secure_in(signed(&[1], LINK_IN, NOW + 1).as_bytes());
+    bench.secure_in(signed(&[1], LINK_IN, NOW - 1_000_001).as_bytes());
+    let tag_at = good.as_bytes().len() - 1;
+    bench.secure_in(&damaged(good.as_bytes(), tag_at, 1));
+    bench.secure_in(&damaged(good.as_bytes(), 10, 4));
+    bench.secure_in(&damaged(good.as_bytes(), 9, 0x80));
+    bench.secure_in(&damaged(good.as_bytes(), 2, 0x20));
+    bench.secure_in(&MAVLINK1);
+
+    assert!(bench.plain.output.is_empty());
+    assert!(bench.secure.output.is_empty());
+    assert_eq!(
+        refusals(bench.relay.secure_to_plain()),
+        [
+            (Refusal::Mavlink1, 1),
+            (Refusal::UnknownIncompatFlags, 1),
+            (Refusal::UnknownMessage, 1),
+            (Refusal::BadChecksum, 1),
+            (Refusal::NotSigned, 1),
+            (Refusal::BadTag, 1),
+            (Refusal::WrongLink, 1),
+            (Refusal::FromFuture, 1),
+            (Refusal::TooOld, 1),
+            (Refusal::Replayed, 1),
+        ]
+    );
+    assert_eq!(refusals(bench.relay.plain_to_secure()), []);
+}
+
+#[test]
+fn own_frames_reflected_are_refused() {
+    let mut bench = Bench::new();
+    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
+    let reflected = bench.secure.output.clone();
+    bench.secure_in(&reflected);
+    assert!(bench.plain.output.is_empty());
+    assert_eq!(bench.relay.secure_to_plain().refused(Refusal::WrongLink), 1);
+}
+
+#[test]
+fn one_link_id_for_both_directions_is_refused() {
+    let replay = Replay::new(5, Window::SEED);
+    let relay = Relay::new(key(), Stamper::new(5), replay, Forward::Stripped);
+    assert_eq!(relay.expect_err("the same").0, 5);
+}
+
+#[test]
+fn a_stalled_direction_loses_nothing_and_stalls_nothing() {
+    let mut bench = Bench::new();
+    bench.plain.room = 10;
+    let mut expected = Vec::new();
+    for i in 0..20 {
+        let frame = signed(&[i; 100], LINK_IN, NOW + u64::from(i));
+        bench.secure.input.extend(frame.as_bytes());
+        expected.extend_from_slice(unsigned(&[i; 100]).as_bytes());
+    }
+    bench.now += 20;
+    bench.run();
+    assert_eq!(bench.plain.output, expected[..10]);
+    assert!(!bench.secure.input.is_empty(), "memory is bounded");
+
+    // The other direction goes on.
+    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
+    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+
+    // One byte at a time.
+    bench.plain.at_once = 1;
+    while !bench.secure.input.is_empty() || bench.plain.output.len() < expected.len() {
+        bench.plain.room = 1;
+        let _ = bench.poll();
+    }
+    assert_eq!(bench.plain.output, expected);
+}
+
+#[test]
+fn a_broken_port_does_not_stop_the_other_direction() {
+    let mut bench = Bench::new();
+    bench.plain.broken = true;
+    bench
+        .secure
+        .input
+        .extend(signed(&[1], LINK_IN, NOW).as_bytes());
+    let error = loop {
+        let polled = bench.poll();
+        if !bench.plain.output.is_empty() {
+            break polled.plain_to_secure.expect_err("it cannot be read");
+        }
+    };
+    assert_eq!(error, PortError::Input(Broken));
+    assert_eq!(bench.relay.secure_to_plain().passed(), 1);
+
+    bench.plain.broken = false;
+    bench.plain_in(unsigned(&[1]).as_bytes());
+    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+}
+
+#[test]
+fn a_port_that_takes_nothing_is_closed() {
+    let mut bench = Bench::new();
+    bench.secure.at_once = 0;
+    bench.plain.input.extend(unsigned(&[1]).as_bytes());
+    let error = loop {
+        if let Err(error) = bench.poll().plain_to_secure {
+            break error;
+        }
+    };
+    assert_eq!(error, PortError::Closed);
+
+    // The frame is still there.
+    bench.secure.at_once = 280;
+    bench.run();
+    assert_eq!(bench.secure.output, signed(&[1], LINK_OUT, NOW).as_bytes());
+}
+
+#[test]
+fn silence_gives_up_what_noise_began() {
+    let mut bench = Bench::new();
+    bench.plain.input.extend([0xFD, 255, 0]);
+    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
+    assert!(bench.secure.output.is_empty());
+    bench.now += IDLE;
+    bench.run();
+    assert!(bench.secure.output.is_empty(), "not yet silent for long");
+    bench.now += 1;
+    bench.run();
+    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+}
+
+#[test]
+fn a_used_up_clock_signs_nothing() {
+    let stamper = Stamper::resume(LINK_OUT, Timestamp::MAX);
+    let mut bench = Bench::with(stamper, Forward::Stripped);
+    bench.plain_in(unsigned(&[1]).as_bytes());
+    bench.secure.output.clear();
+    bench.plain_in(unsigned(&[1]).as_bytes());
+    assert!(bench.secure.output.is_empty());
+    assert_eq!(
+        refusals(bench.relay.plain_to_secure()),
+        [(Refusal::ClockExhausted, 1)]
+    );
+}
+
+#[test]
+fn refused_frames_use_up_no_stamp() {
+    let mut bench = Bench::new();
+    bench.plain_in(signed(&[1], LINK_OUT, NOW).as_bytes());
+    bench.plain_in(&damaged(unsigned(&[1]).as_bytes(), 10, 4));
+    bench.plain_in(unsigned(&[1]).as_bytes());
+    assert_eq!(bench.secure.output, signed(&[1], LINK_OUT, NOW).as_bytes());
+}
+
+#[test]
+fn both_directions_at_once_in_pieces() {
+    for size in [1, 3, 64, 65, 1000] {
+        let mut bench = Bench::new();
+        let (mut plain, mut secure) = (Vec::new(), Vec::new());
+        let (mut signed_out, mut stripped) = (Vec::new(), Vec::new());
+        for i in 0..60_u8 {
+            let payload = vec![i; usize::from(i) * 4];
+            plain.extend(unsigned(&payload).as_bytes());
+            signed_out.extend_from_slice(signed(&payload, LINK_OUT, NOW + u64::from(i)).as_bytes());
+            secure.extend(signed(&payload, LINK_IN, NOW - 60 + u64::from(i)).as_bytes());
+            stripped.extend_from_slice(unsigned(&payload).as_bytes());
+        }
+        let (mut plain, mut secure) = (plain.chunks(size), secure.chunks(size));
+        loop {
+            let next = (plain.next(), secure.next());
+            bench.plain.input.extend(next.0.unwrap_or_default());
+            bench.secure.input.extend(next.1.unwrap_or_default());
+            bench.run();
+            if next == (None, None) {
+                break;
+            }
+        }
+        assert_eq!(bench.secure.output, signed_out, "pieces of {size}");
+        assert_eq!(bench.plain.output, stripped, "pieces of {size}");
+    }
+}

@@ -1,0 +1,262 @@
+//! `cargo xtask test`: everything that must hold, each step to its end, one verdict.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    time::Instant,
+};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::Args;
+use xshell::{Shell, cmd};
+
+use crate::{firmware, setup, tables};
+
+/// Targets that the cores alone are built for: those of the firmware, and one of another kind.
+const CORE_TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
+
+/// Options of `cargo xtask test`.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// Also what takes long or installs much: the firmware built by the distribution's compiler
+    #[arg(long)]
+    all: bool,
+}
+
+/// Runs every check; those after a failed one too.
+///
+/// # Errors
+/// If a check failed; which and why has been printed.
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let mut checks = Checks::default();
+    checks.step("formatting", formatting);
+    checks.step("message tables", || tables::run(true));
+    checks.step("lints", lints);
+    checks.step("documentation", documentation);
+    checks.step("host and doc tests", host_tests);
+    checks.step("cores alone for microcontrollers", cores_alone);
+    checks.step("firmware lints", firmware_lints);
+    checks.step("firmware sizes", || {
+        firmware::run(&firmware::Options::default())
+    });
+    checks.step("signing demo in QEMU", signing_demo);
+    checks.step("demonstration", demonstration);
+    checks.step("demonstration with an echo must fail", echo_fails);
+    checks.step("proofs", proofs);
+    if options.all {
+        checks.step("firmware by the distribution's compiler", distribution);
+    }
+    checks.finish()
+}
+
+#[derive(Default)]
+struct Checks {
+    passed: usize,
+    failed: Vec<&'static str>,
+}
+
+impl Checks {
+    fn step(&mut self, name: &'static str, check: impl FnOnce() -> Result<()>) {
+        println!("\n== {name}");
+        let start = Instant::now();
+        let result = check();
+        let seconds = start.elapsed().as_secs_f32();
+        match result {
+            Ok(()) => {
+                self.passed += 1;
+                println!("== {name}: ok, {seconds:.1} s");
+            }
+            Err(error) => {
+                self.failed.push(name);
+                println!("== {name}: FAILED, {seconds:.1} s\n{error:#}");
+            }
+        }
+    }
+
+    fn finish(self) -> Result<()> {
+        println!("\n{} passed, {} failed", self.passed, self.failed.len());
+        if self.failed.is_empty() {
+            return Ok(());
+        }
+        bail!("failed: {}", self.failed.join(", "))
+    }
+}
+
+/// The project's folder.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// A shell in `folder` of the project.
+fn shell(folder: &str) -> Result<Shell> {
+    let sh = Shell::new()?;
+    sh.change_dir(root().join(folder));
+    Ok(sh)
+}
+
+/// A shell for the host workspace that has cargo's `component`.
+fn shell_with(component: &str) -> Result<Shell> {
+    let sh = shell(".")?;
+    let found = cmd!(sh, "cargo {component} --version")
+        .quiet()
+        .ignore_stdout();
+    if found.ignore_stderr().run().is_err() {
+        let package = if component == "fmt" {
+            "rustfmt"
+        } else {
+            component
+        };
+        cmd!(sh, "rustup component add {package}")
+            .run()
+            .with_context(|| {
+                format!("cargo {component} is missing: rustup component add {package}")
+            })?;
+    }
+    Ok(sh)
+}
+
+fn formatting() -> Result<()> {
+    let sh = shell_with("fmt")?;
+    cmd!(sh, "cargo fmt --all --check").run()?;
+    sh.change_dir("chips");
+    cmd!(sh, "cargo fmt --all --check").run()?;
+    Ok(())
+}
+
+fn lints() -> Result<()> {
+    let sh = shell_with("clippy")?;
+    cmd!(
+        sh,
+        "cargo clippy --quiet --locked --workspace --all-targets -- -D warnings"
+    )
+    .run()?;
+    let cores = ["-p", "mavlink-signing", "-p", "mavseal-relay"];
+    cmd!(
+        sh,
+        "cargo clippy --quiet --locked {cores...} --features defmt -- -D warnings"
+    )
+    .run()?;
+    Ok(())
+}
+
+fn documentation() -> Result<()> {
+    let sh = shell(".")?;
+    sh.set_var("RUSTDOCFLAGS", "-D warnings");
+    cmd!(sh, "cargo doc --quiet --locked --workspace --no-deps").run()?;
+    Ok(())
+}
+
+fn host_tests() -> Result<()> {
+    let sh = shell(".")?;
+    cmd!(sh, "cargo test --quiet --locked --workspace").run()?;
+    Ok(())
+}
+
+/// A new chip needs no change to the cores: they build for targets that no crate of `chips/` has.
+fn cores_alone() -> Result<()> {
+    for target in CORE_TARGETS {
+        let toolchain = setup::toolchain(target)?;
+        println!("{target}: {toolchain}");
+        let mut cargo = toolchain.cargo("build");
+        cargo.current_dir(root());
+        cargo.args([
+            "--quiet",
+            "--locked",
+            "-p",
+            "mavlink-signing",
+            "-p",
+            "mavseal-relay",
+        ]);
+        cargo
+            .arg("--target-dir")
+            .arg(toolchain.target_dir(&root().join("target")));
+        succeed(&mut cargo)?;
+    }
+    Ok(())
+}
+
+fn firmware_lints() -> Result<()> {
+    let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
+    let mut version = toolchain.cargo("clippy");
+    if !version.arg("--version").output()?.status.success() {
+        println!("not run: {toolchain} has no clippy");
+        return Ok(());
+    }
+    for features in ["common", "common,logging"] {
+        let mut cargo = toolchain.cargo("clippy");
+        cargo.current_dir(root().join("chips/qemu-m7"));
+        cargo.args(["--quiet", "--locked", "--no-default-features"]);
+        cargo.args(["--features", features, "--", "-D", "warnings"]);
+        succeed(&mut cargo)?;
+    }
+    Ok(())
+}
+
+/// The seed's demo prints what is committed beside it, run as a developer runs it.
+fn signing_demo() -> Result<()> {
+    setup::qemu(&Shell::new()?)?;
+    let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
+    let folder = root().join("chips/qemu-m7");
+    let expected = fs::read_to_string(folder.join("src/bin/demo.out"))?;
+    let mut cargo = toolchain.cargo("run");
+    cargo.current_dir(&folder);
+    cargo.args(["--quiet", "--locked", "--release", "--bin", "demo"]);
+    let output = cargo.stderr(Stdio::inherit()).output()?;
+    let said = String::from_utf8_lossy(&output.stdout);
+    print!("{said}");
+    ensure!(output.status.success(), "it ended with {}", output.status);
+    ensure!(said == expected, "demo.out says otherwise:\n{expected}");
+    Ok(())
+}
+
+/// Runs `cargo xtask demo` as its own process, as its exit status is part of what it promises.
+fn demonstration() -> Result<()> {
+    let sh = shell(".")?;
+    cmd!(sh, "cargo xtask demo").run()?;
+    Ok(())
+}
+
+fn echo_fails() -> Result<()> {
+    let sh = shell(".")?;
+    let echo = cmd!(sh, "cargo xtask demo --firmware echo").ignore_status();
+    let output = echo.output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(
+        !output.status.success(),
+        "the demonstration took an echo for a signer"
+    );
+    let reason = "left the secure side unsigned";
+    ensure!(
+        said.contains(reason),
+        "it failed for another reason:\n{said}"
+    );
+    println!("failed, as it must: a frame {reason}");
+    Ok(())
+}
+
+/// Kani is not part of the set-up: it is run where it is.
+fn proofs() -> Result<()> {
+    let sh = shell(".")?;
+    let found = cmd!(sh, "cargo kani --version").quiet().ignore_stdout();
+    if found.ignore_stderr().run().is_err() {
+        println!("not run: cargo kani is not installed (cargo install --locked kani-verifier)");
+        return Ok(());
+    }
+    cmd!(sh, "cargo kani").run()?;
+    Ok(())
+}
+
+fn distribution() -> Result<()> {
+    let sh = shell(".")?;
+    sh.set_var("MAVSEAL_TOOLCHAIN", "distribution");
+    cmd!(sh, "cargo xtask firmware").run()?;
+    cmd!(sh, "cargo xtask demo").run()?;
+    Ok(())
+}
+
+fn succeed(command: &mut Command) -> Result<()> {
+    let status = command.status()?;
+    ensure!(status.success(), "{command:?} ended with {status}");
+    Ok(())
+}
