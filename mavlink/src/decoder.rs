@@ -1,5 +1,7 @@
 //! Bytes of a serial line in, packets out.
 
+use core::fmt;
+
 use heapless::Vec;
 
 use crate::crc::checksum;
@@ -17,12 +19,12 @@ pub struct Mavlink1<'a> {
 
 impl<'a> Mavlink1<'a> {
     /// The packet at the front of `bytes`, which begin with its magic byte.
-    fn parse(bytes: &'a [u8]) -> Option<Self> {
-        let header = bytes.first_chunk()?;
+    fn parse(bytes: &'a [u8]) -> Result<Self, ParseError> {
+        let header = bytes.first_chunk().ok_or(ParseError::Truncated)?;
         let &[_, payload_length, ..]: &[u8; HEADER_SIZE_V1] = header;
         let size = HEADER_SIZE_V1 + usize::from(payload_length) + CHECKSUM_SIZE;
-        let bytes = bytes.get(..size)?;
-        Some(Self { bytes, header })
+        let bytes = bytes.get(..size).ok_or(ParseError::Truncated)?;
+        Ok(Self { bytes, header })
     }
 
     fn checksum_matches(&self, crc_extra: u8) -> bool {
@@ -56,33 +58,91 @@ pub enum Packet<'a> {
     Mavlink1(Mavlink1<'a>),
 }
 
-/// Why something that began like a packet is none. A damaged line, noise, or another dialect.
-///
-/// Only its magic byte is dropped, what follows is looked at again: a packet that noise or a
-/// damaged packet seems to contain is not lost.
+impl<'a> Packet<'a> {
+    /// The packet at the front of `bytes`, its checksum checked with `crc_extra`; what follows it
+    /// is left alone. For a datagram, which holds whole packets; a stream needs a [`Decoder`].
+    ///
+    /// # Errors
+    ///
+    /// [`DecodeError`]: the bytes do not begin with a whole, undamaged packet of the dialect.
+    pub fn parse(
+        bytes: &'a [u8],
+        crc_extra: impl FnOnce(MessageId) -> Option<u8>,
+    ) -> Result<Self, DecodeError> {
+        let packet = if bytes.first() == Some(&MAGIC_V1) {
+            Self::Mavlink1(Mavlink1::parse(bytes)?)
+        } else {
+            Self::Mavlink2(FrameRef::parse(bytes)?)
+        };
+        let id = packet.message_id();
+        let crc_extra = crc_extra(id).ok_or(DecodeError::UnknownMessage(id))?;
+        let matches = match packet {
+            Self::Mavlink2(frame) => frame.checksum_matches(crc_extra),
+            Self::Mavlink1(packet) => packet.checksum_matches(crc_extra),
+        };
+        if matches {
+            Ok(packet)
+        } else {
+            Err(DecodeError::BadChecksum(id))
+        }
+    }
+
+    /// Which message it carries.
+    #[must_use]
+    pub fn message_id(&self) -> MessageId {
+        match self {
+            Self::Mavlink2(frame) => frame.header().message_id,
+            Self::Mavlink1(packet) => packet.message_id(),
+        }
+    }
+
+    /// The whole packet as received, 8 to 280 bytes.
+    #[must_use]
+    pub const fn as_bytes(&self) -> &'a [u8] {
+        match self {
+            Self::Mavlink2(frame) => frame.as_bytes(),
+            Self::Mavlink1(packet) => packet.as_bytes(),
+        }
+    }
+}
+
+/// Why bytes are not a packet. A damaged line, noise, or another dialect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// Incompatibility flags that this library does not know: its length cannot be told.
-    UnknownIncompatFlags(u8),
+    /// They do not have the shape of a packet.
+    Parse(ParseError),
     /// Not in the dialect, so that the checksum cannot be told right from wrong.
     UnknownMessage(MessageId),
     /// Not the checksum of a message with this id.
     BadChecksum(MessageId),
 }
 
-impl core::fmt::Display for DecodeError {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+impl From<ParseError> for DecodeError {
+    fn from(error: ParseError) -> Self {
+        Self::Parse(error)
+    }
+}
+
+impl fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::UnknownIncompatFlags(flags) => ParseError::UnknownIncompatFlags(*flags).fmt(f),
+            Self::Parse(error) => error.fmt(f),
             Self::UnknownMessage(id) => write!(f, "message {id} is not in the dialect"),
             Self::BadChecksum(id) => write!(f, "bad checksum for message {id}"),
         }
     }
 }
 
-impl core::error::Error for DecodeError {}
+impl core::error::Error for DecodeError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Parse(error) => Some(error),
+            _ => None,
+        }
+    }
+}
 
 /// Finds the packets in a stream of bytes.
 ///
@@ -157,8 +217,17 @@ impl Decoder {
         MAX_FRAME_SIZE - kept
     }
 
-    /// The next packet, or why something that looked like one is none; `None` when more bytes
-    /// are needed.
+    /// The next packet, or why something that began like one is none; `None` when more bytes are
+    /// needed.
+    ///
+    /// Of what is no packet only the magic byte is dropped and the rest is looked at again: a
+    /// packet that noise or a damaged packet seems to contain is not lost.
+    ///
+    /// # Errors
+    ///
+    /// [`DecodeError::UnknownMessage`], [`DecodeError::BadChecksum`], and of
+    /// [`DecodeError::Parse`] only unknown incompatibility flags: what has no magic byte is
+    /// skipped, what is cut short is waited for.
     pub fn read(&mut self) -> Option<Result<Packet<'_>, DecodeError>> {
         self.take_back();
         let Self {
@@ -171,29 +240,24 @@ impl Decoder {
         } = self;
         loop {
             let pending = buffer.get(*done..).unwrap_or_default();
-            let noise = pending
-                .iter()
-                .position(|byte| matches!(*byte, MAGIC | MAGIC_V1))
-                .unwrap_or(pending.len());
-            *done += noise;
-            *dropped = dropped.saturating_add(noise as u32);
-            let pending = pending.get(noise..).unwrap_or_default();
-            match front(pending, *crc_extra) {
-                Front::Packet(packet, size) => {
-                    *lent = size;
+            let skip = match Packet::parse(pending, *crc_extra) {
+                Ok(packet) => {
+                    *lent = packet.as_bytes().len();
                     return Some(Ok(packet));
                 }
-                Front::Fault(fault) => {
+                Err(DecodeError::Parse(ParseError::BadMagic(_))) => noise(pending),
+                Err(DecodeError::Parse(ParseError::Truncated)) if pending.is_empty() || !*idle => {
+                    return None;
+                }
+                Err(DecodeError::Parse(ParseError::Truncated)) => 1,
+                Err(fault) => {
                     *done += 1;
                     *dropped = dropped.saturating_add(1);
                     return Some(Err(fault));
                 }
-                Front::Partial if *idle && !pending.is_empty() => {
-                    *done += 1;
-                    *dropped = dropped.saturating_add(1);
-                }
-                Front::Partial => return None,
-            }
+            };
+            *done += skip;
+            *dropped = dropped.saturating_add(skip as u32);
         }
     }
 
@@ -218,44 +282,10 @@ impl Decoder {
     }
 }
 
-/// What stands at the front of the bytes.
-enum Front<'a> {
-    Packet(Packet<'a>, usize),
-    Fault(DecodeError),
-    /// Nothing, or the beginning of what may become a packet.
-    Partial,
-}
-
-fn front(pending: &[u8], crc_extra: fn(MessageId) -> Option<u8>) -> Front<'_> {
-    let (packet, id, size) = if pending.first() == Some(&MAGIC_V1) {
-        let Some(packet) = Mavlink1::parse(pending) else {
-            return Front::Partial;
-        };
-        let size = packet.as_bytes().len();
-        (Packet::Mavlink1(packet), packet.message_id(), size)
-    } else {
-        match FrameRef::parse(pending) {
-            Ok(frame) => {
-                let size = frame.as_bytes().len();
-                (Packet::Mavlink2(frame), frame.header().message_id, size)
-            }
-            Err(ParseError::UnknownIncompatFlags(flags)) => {
-                return Front::Fault(DecodeError::UnknownIncompatFlags(flags));
-            }
-            // The caller has skipped what has no magic byte.
-            Err(ParseError::Truncated | ParseError::BadMagic(_)) => return Front::Partial,
-        }
-    };
-    let Some(crc_extra) = crc_extra(id) else {
-        return Front::Fault(DecodeError::UnknownMessage(id));
-    };
-    let matches = match packet {
-        Packet::Mavlink2(frame) => frame.checksum_matches(crc_extra),
-        Packet::Mavlink1(packet) => packet.checksum_matches(crc_extra),
-    };
-    if matches {
-        Front::Packet(packet, size)
-    } else {
-        Front::Fault(DecodeError::BadChecksum(id))
-    }
+/// Bytes before the next magic byte.
+fn noise(pending: &[u8]) -> usize {
+    pending
+        .iter()
+        .position(|byte| matches!(*byte, MAGIC | MAGIC_V1))
+        .unwrap_or(pending.len())
 }

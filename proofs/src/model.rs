@@ -1,6 +1,7 @@
 //! Stand-ins for the two costly functions, so that a proof can range over every frame.
 
-use core::sync::atomic::{AtomicU16, Ordering};
+use core::cell::Cell;
+use core::sync::atomic::{AtomicU16, AtomicUsize, Ordering};
 
 use mavlink_signing::{KEY_SIZE, Profile, Tag};
 
@@ -22,6 +23,51 @@ impl Profile for AnyTag {
     }
 }
 
+/// A profile whose tag tells what it was asked about: how often, how many bytes, and the byte at an
+/// index that the key chooses.
+///
+/// If tags agree for every index, the bytes under them agree.
+#[derive(Clone, Debug)]
+pub struct Witness {
+    index: usize,
+    calls: Cell<u8>,
+}
+
+impl Witness {
+    /// The key that chooses `index`.
+    #[must_use]
+    pub fn key(index: u16) -> [u8; KEY_SIZE] {
+        let mut key = [0xFF; KEY_SIZE];
+        [key[0], key[1]] = index.to_le_bytes();
+        key
+    }
+
+    /// The tag that the first call with `covered` gives.
+    #[must_use]
+    pub fn first_tag(index: u16, covered: &[u8]) -> Tag {
+        Self::new(&Self::key(index)).tag(covered)
+    }
+}
+
+impl Profile for Witness {
+    fn new(key: &[u8; KEY_SIZE]) -> Self {
+        Self {
+            index: u16::from_le_bytes([key[0], key[1]]).into(),
+            calls: Cell::new(0),
+        }
+    }
+
+    fn tag(&self, covered: &[u8]) -> Tag {
+        self.calls.set(self.calls.get() + 1);
+        let [low, high] = (covered.len() as u16).to_le_bytes();
+        let (there, byte) = match covered.get(self.index) {
+            Some(byte) => (1, *byte),
+            None => (0, 0),
+        };
+        [self.calls.get(), low, high, there, byte, 0]
+    }
+}
+
 /// What [`any_checksum`] returns.
 static CHECKSUM: AtomicU16 = AtomicU16::new(0);
 
@@ -37,4 +83,38 @@ pub fn set_checksum(checksum: u16) {
 #[must_use]
 pub fn any_checksum(_covered: &[u8], _crc_extra: u8) -> u16 {
     CHECKSUM.load(Ordering::Relaxed)
+}
+
+/// Calls of [`one_checksum`], and where the bytes of the first began and how many they were.
+static CALLS: AtomicUsize = AtomicUsize::new(0);
+static START: AtomicUsize = AtomicUsize::new(0);
+static LENGTH: AtomicUsize = AtomicUsize::new(0);
+static EXTRA: AtomicUsize = AtomicUsize::new(0);
+
+/// Like [`any_checksum`], and asserts that every call of a run is about the same bytes, at the same
+/// place, with the same CRC_EXTRA.
+///
+/// # Panics
+///
+/// If they are not.
+#[must_use]
+pub fn one_checksum(covered: &[u8], crc_extra: u8) -> u16 {
+    let (start, length) = (covered.as_ptr() as usize, covered.len());
+    if checksum_calls() == 0 {
+        START.store(start, Ordering::Relaxed);
+        LENGTH.store(length, Ordering::Relaxed);
+        EXTRA.store(crc_extra.into(), Ordering::Relaxed);
+    } else {
+        assert_eq!(START.load(Ordering::Relaxed), start);
+        assert_eq!(LENGTH.load(Ordering::Relaxed), length);
+        assert_eq!(EXTRA.load(Ordering::Relaxed), usize::from(crc_extra));
+    }
+    CALLS.store(checksum_calls() + 1, Ordering::Relaxed);
+    any_checksum(covered, crc_extra)
+}
+
+/// How often [`one_checksum`] was called.
+#[must_use]
+pub fn checksum_calls() -> usize {
+    CALLS.load(Ordering::Relaxed)
 }

@@ -1,9 +1,11 @@
 //! R1: accepted timestamps strictly increase.
 
 use mavlink_signing::{
-    Frame, FrameRef, Header, MessageId, Profile, Replay, SigningKey, Stamp, Timestamp, VerifyError,
-    authenticate, sign_frame,
+    Frame, FrameRef, Profile, Replay, SigningKey, Stamp, Timestamp, VerifyError, authenticate,
+    sign_frame,
 };
+
+use crate::HEARTBEAT;
 
 /// R1, one step from any state: an authentic frame is accepted only for this link, inside the
 /// window and later than the last accepted one, and is then the last; the same frame is refused
@@ -16,14 +18,7 @@ use mavlink_signing::{
 ///
 /// If the property does not hold.
 pub fn step<P: Profile>(key: &SigningKey<P>, before: Replay, stamp: Stamp, now: Timestamp) {
-    let header = Header {
-        compat_flags: 0,
-        sequence: 0,
-        system_id: 1,
-        component_id: 1,
-        message_id: MessageId::from(0),
-    };
-    let mut frame = Frame::new(header, &[]).expect("HEARTBEAT is in every dialect");
+    let mut frame = Frame::new(HEARTBEAT, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     let authentic = authenticate(received, key).expect("signed with this key");
@@ -55,6 +50,15 @@ pub fn step<P: Profile>(key: &SigningKey<P>, before: Replay, stamp: Stamp, now: 
 #[cfg(kani)]
 pub(crate) fn any_timestamp() -> Timestamp {
     Timestamp::from_wire(kani::any())
+}
+
+/// Any link and any timestamp.
+#[cfg(kani)]
+pub(crate) fn any_stamp() -> Stamp {
+    Stamp {
+        link_id: kani::any(),
+        timestamp: any_timestamp(),
+    }
 }
 
 #[cfg(test)]
@@ -120,10 +124,7 @@ mod harness {
             ahead: kani::any(),
         };
         let before = Replay::resume(kani::any(), window, any_timestamp());
-        let stamp = Stamp {
-            link_id: kani::any(),
-            timestamp: any_timestamp(),
-        };
+        let stamp = any_stamp();
         let now = any_timestamp();
         kani::cover!(
             stamp.link_id == before.link_id() && stamp.timestamp == now,

@@ -1,63 +1,41 @@
 //! What is done to a packet: signing towards the radio, verification from it.
 //!
-//! Two types that share nothing but the key: a frame from the secure side meets no function that
-//! signs.
+//! Two types that share nothing but the key: a packet from the secure side meets no function that
+//! signs. They need no port, so that a shell with input and output of its own can use them alone.
 
 use mavlink_signing::{
-    Frame, FrameRef, Packet, Profile, Replay, SigningKey, Stamper, Timestamp, authenticate,
-    sign_frame,
+    Frame, Packet, Profile, Replay, SigningKey, Stamper, Timestamp, authenticate, sign_frame,
 };
 
 use crate::event::{Direction, Refusal};
 
-/// What a packet on its way from the decoder to the other port goes through.
-pub(crate) trait Treat {
-    const DIRECTION: Direction;
+/// Plain to secure: signs what is undamaged and unsigned.
+#[derive(Debug)]
+pub struct Signer {
+    stamper: Stamper,
+}
 
-    /// The frame to send for `frame`, or why there is none.
-    fn treat<P: Profile>(
-        &mut self,
-        frame: FrameRef<'_>,
-        key: &SigningKey<P>,
-        now: Timestamp,
-    ) -> Result<Frame, Refusal>;
+impl Signer {
+    /// Signs with the stamps of `stamper`.
+    #[must_use]
+    pub const fn new(stamper: Stamper) -> Self {
+        Self { stamper }
+    }
 
-    /// The same for a packet of any version.
-    fn treat_packet<P: Profile>(
+    /// The signed frame to send for `packet`.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal`]; no stamp has been used up then.
+    pub fn sign<P: Profile>(
         &mut self,
         packet: Packet<'_>,
         key: &SigningKey<P>,
         now: Timestamp,
     ) -> Result<Frame, Refusal> {
-        match packet {
-            Packet::Mavlink2(frame) => self.treat(frame, key, now),
-            Packet::Mavlink1(_) => Err(Refusal::Mavlink1),
-        }
-    }
-}
-
-/// Plain to secure.
-#[derive(Debug)]
-pub(crate) struct Signer {
-    stamper: Stamper,
-}
-
-impl Signer {
-    pub(crate) const fn new(stamper: Stamper) -> Self {
-        Self { stamper }
-    }
-}
-
-impl Treat for Signer {
-    const DIRECTION: Direction = Direction::PlainToSecure;
-
-    fn treat<P: Profile>(
-        &mut self,
-        frame: FrameRef<'_>,
-        key: &SigningKey<P>,
-        now: Timestamp,
-    ) -> Result<Frame, Refusal> {
-        // Before a stamp is taken: what is refused uses none up.
+        let Packet::Mavlink2(frame) = packet else {
+            return Err(Refusal::Mavlink1);
+        };
         if frame.is_signed() {
             return Err(Refusal::AlreadySigned);
         }
@@ -78,16 +56,64 @@ pub enum Forward {
     Whole,
 }
 
-/// Secure to plain.
+/// Secure to plain: lets verified frames through.
 #[derive(Debug)]
-pub(crate) struct Verifier {
+pub struct Verifier {
     replay: Replay,
     forward: Forward,
 }
 
 impl Verifier {
-    pub(crate) const fn new(replay: Replay, forward: Forward) -> Self {
+    /// Admits what `replay` admits and hands it on as `forward` says.
+    #[must_use]
+    pub const fn new(replay: Replay, forward: Forward) -> Self {
         Self { replay, forward }
+    }
+
+    /// The frame to hand on for `packet`.
+    ///
+    /// # Errors
+    ///
+    /// [`Refusal`]; nothing has changed then.
+    pub fn verify<P: Profile>(
+        &mut self,
+        packet: Packet<'_>,
+        key: &SigningKey<P>,
+        now: Timestamp,
+    ) -> Result<Frame, Refusal> {
+        let Packet::Mavlink2(frame) = packet else {
+            return Err(Refusal::Mavlink1);
+        };
+        let verified = self.replay.admit(authenticate(frame, key)?, now)?;
+        Ok(match self.forward {
+            Forward::Stripped => verified.to_unsigned(),
+            Forward::Whole => verified.to_frame(),
+        })
+    }
+}
+
+/// What the packets of one direction go through.
+pub(crate) trait Treat {
+    const DIRECTION: Direction;
+
+    fn treat<P: Profile>(
+        &mut self,
+        packet: Packet<'_>,
+        key: &SigningKey<P>,
+        now: Timestamp,
+    ) -> Result<Frame, Refusal>;
+}
+
+impl Treat for Signer {
+    const DIRECTION: Direction = Direction::PlainToSecure;
+
+    fn treat<P: Profile>(
+        &mut self,
+        packet: Packet<'_>,
+        key: &SigningKey<P>,
+        now: Timestamp,
+    ) -> Result<Frame, Refusal> {
+        self.sign(packet, key, now)
     }
 }
 
@@ -96,14 +122,10 @@ impl Treat for Verifier {
 
     fn treat<P: Profile>(
         &mut self,
-        frame: FrameRef<'_>,
+        packet: Packet<'_>,
         key: &SigningKey<P>,
         now: Timestamp,
     ) -> Result<Frame, Refusal> {
-        let verified = self.replay.admit(authenticate(frame, key)?, now)?;
-        Ok(match self.forward {
-            Forward::Stripped => verified.to_unsigned(),
-            Forward::Whole => verified.to_frame(),
-        })
+        self.verify(packet, key, now)
     }
 }

@@ -96,7 +96,7 @@ impl fmt::Display for Refusal {
 impl From<DecodeError> for Refusal {
     fn from(error: DecodeError) -> Self {
         match error {
-            DecodeError::UnknownIncompatFlags(_) => Self::UnknownIncompatFlags,
+            DecodeError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
             DecodeError::UnknownMessage(_) => Self::UnknownMessage,
             DecodeError::BadChecksum(_) => Self::BadChecksum,
             _ => Self::Other,

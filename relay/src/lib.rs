@@ -34,13 +34,12 @@ mod direction;
 mod event;
 mod pump;
 
-pub use direction::Forward;
+pub use direction::{Forward, Signer, Verifier};
 pub use event::{Counters, Direction, Event, Refusal};
 pub use pump::PortError;
 
 use core::fmt;
 
-use direction::{Signer, Verifier};
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{Profile, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp};
 use pump::Pump;

@@ -137,7 +137,7 @@ impl<T: Treat> Pump<T> {
             return false;
         };
         let treated = match decoded {
-            Ok(packet) => self.treat.treat_packet(packet, key, now),
+            Ok(packet) => self.treat.treat(packet, key, now),
             Err(error) => Err(error.into()),
         };
         match treated {

@@ -1,7 +1,7 @@
 //! The decoder: whatever comes over the line, in whatever pieces.
 
 use crate::common::*;
-use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, dialect::crc_extra};
+use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, ParseError, dialect::crc_extra};
 
 /// A MAVLink 1 HEARTBEAT.
 const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
@@ -121,7 +121,7 @@ fn unknown_messages_and_flags_are_told() {
     let first = decoder.read().expect("a fault");
     assert_eq!(
         first.expect_err("unknown"),
-        DecodeError::UnknownIncompatFlags(0x82)
+        DecodeError::Parse(ParseError::UnknownIncompatFlags(0x82))
     );
 }
 

@@ -1,0 +1,192 @@
+//! S1, S2, V3: what signing writes, what the tag covers, and that it verifies.
+
+use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, SIGNATURE_SIZE, TAG_SIZE};
+use mavlink_signing::{
+    Frame, FrameRef, Header, Profile, Replay, SignError, SigningKey, Stamp, Tag, Window,
+    authenticate, dialect, sign_frame,
+};
+
+/// S1: signing sets the flag, computes the checksum anew and appends link id, timestamp and tag;
+/// every other byte stays. Signing again is refused and changes nothing.
+///
+/// S2, the sender's half: the tag is the one over exactly the bytes before it, asked for once.
+///
+/// `checksum` and `tag` are what the code under test computes, or the models that stand for it;
+/// `index` is the byte that is compared.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn signs_in_place<P: Profile>(
+    header: Header,
+    payload: &[u8],
+    key: &SigningKey<P>,
+    stamp: Stamp,
+    index: usize,
+    checksum: impl Fn(&[u8], u8) -> u16,
+    tag: impl Fn(&[u8]) -> Tag,
+) {
+    let before = Frame::new(header, payload).expect("a known message");
+    let mut frame = before.clone();
+    assert!(!frame.is_signed());
+    assert_eq!(sign_frame(&mut frame, key, stamp), Ok(()));
+    assert!(frame.is_signed());
+
+    let (bytes, before) = (frame.as_bytes(), before.as_bytes());
+    let crc_at = HEADER_SIZE + payload.len();
+    let signature_at = crc_at + CHECKSUM_SIZE;
+    let tag_at = signature_at + SIGNATURE_SIZE - TAG_SIZE;
+    assert_eq!(bytes.len(), tag_at + TAG_SIZE);
+    assert_eq!(bytes[2], before[2] | 1);
+    if index < crc_at && index != 2 {
+        assert_eq!(bytes[index], before[index]);
+    }
+    let crc_extra = dialect::crc_extra(header.message_id).expect("a known message");
+    let crc = checksum(&bytes[1..crc_at], crc_extra);
+    assert_eq!([bytes[crc_at], bytes[crc_at + 1]], crc.to_le_bytes());
+    assert_eq!(bytes[signature_at], stamp.link_id);
+    let ticks = stamp.timestamp.ticks().to_le_bytes();
+    let written = tag(&bytes[..tag_at]);
+    for i in 0..6 {
+        assert_eq!(bytes[signature_at + 1 + i], ticks[i]);
+        assert_eq!(bytes[tag_at + i], written[i]);
+    }
+
+    let mut again = frame.clone();
+    assert_eq!(
+        sign_frame(&mut again, key, stamp),
+        Err(SignError::AlreadySigned)
+    );
+    assert_eq!(again.as_bytes().len(), bytes.len());
+    if index < bytes.len() {
+        assert_eq!(again.as_bytes()[index], bytes[index]);
+    }
+}
+
+/// V3: what is signed verifies, with the same key, at the moment of its stamp, by a receiver of its
+/// link that has accepted nothing; what comes out is what went in. `index` is the byte of the
+/// payload that is compared.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn signed_verifies<P: Profile>(
+    header: Header,
+    payload: &[u8],
+    key: &SigningKey<P>,
+    stamp: Stamp,
+    index: usize,
+) {
+    let mut frame = Frame::new(header, payload).expect("a known message");
+    sign_frame(&mut frame, key, stamp).expect("not signed yet");
+    let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
+    let authentic = authenticate(received, key).expect("signed with this key");
+    let mut replay = Replay::new(stamp.link_id, Window::SEED);
+    let verified = replay.admit(authentic, stamp.timestamp).expect("in time");
+    assert_eq!(verified.header(), header);
+    assert_eq!(verified.stamp(), stamp);
+    assert_eq!(verified.payload().len(), payload.len());
+    if index < payload.len() {
+        assert_eq!(verified.payload()[index], payload[index]);
+    }
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use crate::HEARTBEAT;
+    use crate::model::Witness;
+    use mavlink_signing::crc::checksum;
+    use mavlink_signing::{Hmac, Timestamp};
+    use proptest::prelude::*;
+
+    const KEY: [u8; 32] = [7; 32];
+
+    fn check(payload: &[u8], link_id: u8, ticks: u64) {
+        let stamp = Stamp {
+            link_id,
+            timestamp: Timestamp::from_ticks(ticks).expect("48 bits"),
+        };
+        let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
+        let tag = |covered: &[u8]| <Hmac>::new(&KEY).tag(covered);
+        for index in 0..payload.len() + 25 {
+            signs_in_place(HEARTBEAT, payload, &key, stamp, index, checksum, tag);
+            signed_verifies(HEARTBEAT, payload, &key, stamp, index);
+
+            let chosen = index as u16;
+            let witness = SigningKey::<Witness>::new(&Witness::key(chosen)).expect("a key");
+            let tag = |covered: &[u8]| Witness::first_tag(chosen, covered);
+            signs_in_place(HEARTBEAT, payload, &witness, stamp, index, checksum, tag);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(8))]
+        #[test]
+        fn s1_s2_v3_random(
+            payload in proptest::collection::vec(any::<u8>(), 0..=255),
+            link_id: u8,
+            ticks in 0..1_u64 << 48,
+        ) {
+            check(&payload, link_id, ticks);
+        }
+    }
+
+    #[test]
+    fn s1_s2_v3_edges() {
+        for length in [0, 1, 9, 30, 36, 37, 255] {
+            check(&vec![0xA5; length], 0xFF, (1 << 48) - 1);
+            check(&vec![0xA5; length], 0, 0);
+        }
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+    use crate::HEARTBEAT;
+    use crate::model::{AnyTag, Witness, any_checksum, set_checksum};
+    use crate::replay::any_stamp;
+
+    fn signs<const LENGTH: usize>() {
+        set_checksum(kani::any());
+        let payload: [u8; LENGTH] = kani::any();
+        let chosen = kani::any();
+        let key = SigningKey::<Witness>::new(&Witness::key(chosen)).expect("a key");
+        let tag = |covered: &[u8]| Witness::first_tag(chosen, covered);
+        let index = kani::any();
+        let stamp = any_stamp();
+        signs_in_place(HEARTBEAT, &payload, &key, stamp, index, any_checksum, tag);
+        kani::cover!(
+            usize::from(chosen) == LENGTH + 18,
+            "the last byte that is covered"
+        );
+        kani::cover!(index == LENGTH + 24, "the last byte of the frame");
+    }
+
+    crate::for_payload_lengths! { signs:
+        s1_s2_signs_in_place_0 0,
+        s1_s2_signs_in_place_1 1,
+        s1_s2_signs_in_place_9 9,
+        s1_s2_signs_in_place_30 30,
+        s1_s2_signs_in_place_255 255,
+    }
+
+    fn verifies<const LENGTH: usize>() {
+        set_checksum(kani::any());
+        let payload: [u8; LENGTH] = kani::any();
+        let mut secret: [u8; 32] = kani::any();
+        secret[31] = 1;
+        let key = SigningKey::<AnyTag>::new(&secret).expect("a key");
+        let index: usize = kani::any();
+        signed_verifies(HEARTBEAT, &payload, &key, any_stamp(), index);
+        kani::cover!(true, "it ends");
+    }
+
+    crate::for_payload_lengths! { verifies:
+        v3_signed_verifies_0 0,
+        v3_signed_verifies_9 9,
+        v3_signed_verifies_30 30,
+        v3_signed_verifies_255 255,
+    }
+}
