@@ -6,6 +6,7 @@
 
 pub mod checksum;
 pub mod emit;
+pub mod hmac;
 pub mod model;
 pub mod packet;
 pub mod parse;

@@ -1,0 +1,295 @@
+//! S3: the profile `Hmac` is HMAC-SHA256, down to the calls of the compression function.
+
+use mavlink_signing::{KEY_SIZE, Tag};
+
+/// FIPS 180-4, section 5.3.3.
+const INITIAL: [u32; 8] = [
+    0x6a09_e667,
+    0xbb67_ae85,
+    0x3c6e_f372,
+    0xa54f_f53a,
+    0x510e_527f,
+    0x9b05_688c,
+    0x1f83_d9ab,
+    0x5be0_cd19,
+];
+
+/// One look at one call of the compression function: a byte of its block and a word of the state
+/// that it was given.
+#[derive(Clone, Copy, Debug)]
+pub struct Look {
+    /// The number of the call, from 0.
+    pub call: usize,
+    /// Which byte of the block, and the byte.
+    pub byte: (usize, u8),
+    /// Which word of the state, and the word.
+    pub word: (usize, u32),
+}
+
+/// Calls that a key and a tag over `length` bytes take: two for the key, the message with its
+/// padding, one outer.
+#[must_use]
+pub const fn calls(length: usize) -> usize {
+    2 + (length + 9).div_ceil(64) + 1
+}
+
+/// S3: what was looked at is what RFC 2104 and FIPS 180-4 say: the key under ipad and opad, then
+/// the message with its padding and length after the inner key block, then its digest with padding
+/// and length after the outer key block; each call goes on from the right state. `outputs` are the
+/// states that the calls gave, whatever the compression function is.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn call_is_rfc2104(key: &[u8; KEY_SIZE], message: &[u8], outputs: &[[u32; 8]], look: Look) {
+    assert_eq!(outputs.len(), calls(message.len()));
+    let outer = outputs.len() - 1;
+    let (index, byte) = look.byte;
+    let key_byte = if index < KEY_SIZE { key[index] } else { 0 };
+    let (state, expected) = match look.call {
+        0 => (INITIAL, key_byte ^ 0x36),
+        1 => (INITIAL, key_byte ^ 0x5C),
+        call if call == outer => {
+            let digest = outputs[outer - 1];
+            let expected = match index {
+                0..32 => digest[index / 4].to_be_bytes()[index % 4],
+                _ => padding(index, 32, 64 + 32),
+            };
+            (outputs[1], expected)
+        }
+        call => {
+            let at = 64 * (call - 2) + index;
+            let expected = if at < message.len() {
+                message[at]
+            } else {
+                padding(at, message.len(), 64 + message.len())
+            };
+            (outputs[if call == 2 { 0 } else { call - 1 }], expected)
+        }
+    };
+    assert_eq!(byte, expected);
+    assert_eq!(look.word.1, state[look.word.0]);
+}
+
+/// S3: the tag is the first 6 bytes of the last state, most significant byte of each word first.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn tag_is_cut(outputs: &[[u32; 8]], tag: Tag) {
+    let last = outputs[outputs.len() - 1];
+    let [a, b, c, d] = last[0].to_be_bytes();
+    let [e, f, ..] = last[1].to_be_bytes();
+    assert_eq!(tag, [a, b, c, d, e, f]);
+}
+
+/// The byte at `at` of the padding that begins at `start`, of `hashed` bytes in all: a one bit,
+/// zeros, and the number of bits in the last 8 bytes of a block (FIPS 180-4, section 5.1.1).
+fn padding(at: usize, start: usize, hashed: usize) -> u8 {
+    let end = (start + 9).div_ceil(64) * 64;
+    if at == start {
+        0x80
+    } else if at >= end - 8 {
+        (8 * hashed as u64).to_be_bytes()[at - (end - 8)]
+    } else {
+        0
+    }
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use std::cell::RefCell;
+
+    use hmac::digest::block_api::{
+        Block, BlockSizeUser, Buffer, BufferKindUser, Eager, FixedOutputCore, OutputSizeUser,
+        UpdateCore,
+    };
+    use hmac::digest::typenum::{U32, U64};
+    use hmac::digest::{HashMarker, Output};
+    use mavlink_signing::{Hmac, Profile};
+    use sha2::block_api::compress256;
+
+    /// State before, block, state after.
+    type Call = ([u32; 8], [u8; 64], [u32; 8]);
+
+    thread_local!(static CALLS: RefCell<Vec<Call>> = const { RefCell::new(Vec::new()) });
+
+    /// SHA-256 that remembers every call of sha2's compression function.
+    #[derive(Clone)]
+    struct RecordingCore {
+        state: [u32; 8],
+        blocks: u64,
+    }
+
+    impl RecordingCore {
+        fn compress(&mut self, blocks: &[Block<Self>]) {
+            for block in blocks {
+                let (before, block) = (self.state, (*block).into());
+                compress256(&mut self.state, &[block]);
+                CALLS.with_borrow_mut(|calls| calls.push((before, block, self.state)));
+            }
+        }
+    }
+
+    impl Default for RecordingCore {
+        fn default() -> Self {
+            Self {
+                state: INITIAL,
+                blocks: 0,
+            }
+        }
+    }
+
+    impl HashMarker for RecordingCore {}
+
+    impl BlockSizeUser for RecordingCore {
+        type BlockSize = U64;
+    }
+
+    impl BufferKindUser for RecordingCore {
+        type BufferKind = Eager;
+    }
+
+    impl OutputSizeUser for RecordingCore {
+        type OutputSize = U32;
+    }
+
+    impl UpdateCore for RecordingCore {
+        fn update_blocks(&mut self, blocks: &[Block<Self>]) {
+            self.blocks += blocks.len() as u64;
+            self.compress(blocks);
+        }
+    }
+
+    impl FixedOutputCore for RecordingCore {
+        fn finalize_fixed_core(&mut self, buffer: &mut Buffer<Self>, out: &mut Output<Self>) {
+            let bits = 8 * (64 * self.blocks + buffer.get_pos() as u64);
+            buffer.len64_padding_be(bits, |block| self.compress(std::slice::from_ref(block)));
+            for (bytes, word) in out.chunks_exact_mut(4).zip(self.state) {
+                bytes.copy_from_slice(&word.to_be_bytes());
+            }
+        }
+    }
+
+    hmac::digest::buffer_fixed!(
+        struct Recording(RecordingCore);
+        impl: BaseFixedTraits Default Clone HashMarker;
+    );
+
+    /// Every length that a frame's tag covers, 19 to 274 bytes, and shorter ones: all block edges.
+    #[test]
+    fn s3_every_length() {
+        let key: [u8; KEY_SIZE] = core::array::from_fn(|i| i as u8 * 7 + 1);
+        for length in 0..=274 {
+            let message: Vec<u8> = (0..length).map(|i| (i * 5) as u8).collect();
+            CALLS.take();
+            let tag = Hmac::<Recording>::new(&key).tag(&message);
+            assert_eq!(tag, <Hmac>::new(&key).tag(&message), "sha2's own core");
+            let calls = CALLS.take();
+            let outputs: Vec<[u32; 8]> = calls.iter().map(|(_, _, after)| *after).collect();
+            tag_is_cut(&outputs, tag);
+            for (call, (before, block, _)) in calls.iter().enumerate() {
+                for (at, byte) in block.iter().enumerate() {
+                    let word = at % 8;
+                    let look = Look {
+                        call,
+                        byte: (at, *byte),
+                        word: (word, before[word]),
+                    };
+                    call_is_rfc2104(&key, &message, &outputs, look);
+                }
+            }
+        }
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+    use core::sync::atomic::{AtomicU8, AtomicU32, AtomicUsize, Ordering::Relaxed};
+    use mavlink_signing::{Hmac, Profile};
+
+    /// Most calls that a frame's tag takes.
+    const MOST: usize = calls(274);
+
+    static NUMBER: AtomicUsize = AtomicUsize::new(0);
+    static OUTPUTS: [[AtomicU32; 8]; MOST] = [const { [const { AtomicU32::new(0) }; 8] }; MOST];
+    /// What to look at, and what was there.
+    static CALL: AtomicUsize = AtomicUsize::new(0);
+    static INDEX: AtomicUsize = AtomicUsize::new(0);
+    static BYTE: AtomicU8 = AtomicU8::new(0);
+    static WORD_INDEX: AtomicUsize = AtomicUsize::new(0);
+    static WORD: AtomicU32 = AtomicU32::new(0);
+
+    /// Stands for sha2's compression function: gives any state at all, and remembers it and what it
+    /// was asked to look at. An over-approximation.
+    fn any_compression(state: &mut [u32; 8], blocks: &[[u8; 64]]) {
+        for block in blocks {
+            let number = NUMBER.load(Relaxed);
+            if number == CALL.load(Relaxed) {
+                BYTE.store(block[INDEX.load(Relaxed)], Relaxed);
+                WORD.store(state[WORD_INDEX.load(Relaxed)], Relaxed);
+            }
+            for (word, output) in state.iter_mut().zip(&OUTPUTS[number]) {
+                *word = kani::any();
+                output.store(*word, Relaxed);
+            }
+            NUMBER.store(number + 1, Relaxed);
+        }
+    }
+
+    fn wiring<const LENGTH: usize>() {
+        let (call, index, word): (usize, usize, usize) = kani::any();
+        kani::assume(call < calls(LENGTH) && index < 64 && word < 8);
+        CALL.store(call, Relaxed);
+        INDEX.store(index, Relaxed);
+        WORD_INDEX.store(word, Relaxed);
+
+        let key: [u8; KEY_SIZE] = kani::any();
+        let message: [u8; LENGTH] = kani::any();
+        let tag = <Hmac>::new(&key).tag(&message);
+
+        assert_eq!(NUMBER.load(Relaxed), calls(LENGTH));
+        let mut outputs = [[0; 8]; MOST];
+        for (output, recorded) in outputs.iter_mut().zip(&OUTPUTS) {
+            for (word, recorded) in output.iter_mut().zip(recorded) {
+                *word = recorded.load(Relaxed);
+            }
+        }
+        let outputs = &outputs[..calls(LENGTH)];
+        tag_is_cut(outputs, tag);
+        let look = Look {
+            call,
+            byte: (index, BYTE.load(Relaxed)),
+            word: (word, WORD.load(Relaxed)),
+        };
+        call_is_rfc2104(&key, &message, outputs, look);
+        kani::cover!(
+            call == calls(LENGTH) - 1 && index == 63,
+            "the end of the outer block"
+        );
+        kani::cover!(call == 2 && index == 0, "the beginning of the message");
+    }
+
+    macro_rules! for_lengths {
+        ($($name:ident $length:literal,)*) => {
+            $(
+                #[kani::proof]
+                #[kani::unwind(66)]
+                #[kani::stub(sha2::block_api::compress256, any_compression)]
+                fn $name() {
+                    wiring::<$length>();
+                }
+            )*
+        };
+    }
+
+    // A HEARTBEAT; the edge between one inner block and two; the longest frame.
+    for_lengths! {
+        s3_wiring_28 28,
+        s3_wiring_55 55,
+        s3_wiring_56 56,
+        s3_wiring_274 274,
+    }
+}
