@@ -15,6 +15,7 @@ pub mod replay;
 pub mod sign;
 pub mod stamp;
 pub mod table;
+pub mod unforgeable;
 pub mod verify;
 
 use mavlink_signing::{Header, MessageId};

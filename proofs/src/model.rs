@@ -118,3 +118,12 @@ pub fn one_checksum(covered: &[u8], crc_extra: u8) -> u16 {
 pub fn checksum_calls() -> usize {
     CALLS.load(Ordering::Relaxed)
 }
+
+/// The first bytes of `all`, any number of them. As good as any slice where the bytes are any bytes,
+/// and easier to reason about: it begins at a place that is known.
+#[cfg(kani)]
+pub(crate) fn any_prefix(all: &[u8]) -> &[u8] {
+    let length = kani::any();
+    kani::assume(length <= all.len());
+    &all[..length]
+}

@@ -153,55 +153,121 @@ mod twins {
 #[cfg(kani)]
 mod harness {
     use super::*;
-    use crate::model::{AnyTag, set_checksum};
+    use crate::model::{AnyTag, any_checksum, any_prefix, set_checksum};
     use crate::replay::any_timestamp;
     use mavlink_signing::Window;
+    use mavlink_signing::field::{MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
 
-    /// Any packet with a payload of `LENGTH` bytes, signed or not, of either version.
-    fn passes<const LENGTH: usize>() {
-        set_checksum(kani::any());
-        let header: [u8; 10] = kani::any();
-        let mut bytes = [0; 280];
-        bytes[..10].copy_from_slice(&header);
-        bytes[1] = LENGTH as u8;
-        let rest: [u8; 270] = kani::any();
-        bytes[10..].copy_from_slice(&rest);
-        let Ok(packet) = Packet::parse(&bytes, |_| Some(0)) else {
-            return;
-        };
+    fn any_key() -> SigningKey<AnyTag> {
         let mut secret: [u8; 32] = kani::any();
         secret[31] = 1;
-        let key = SigningKey::<AnyTag>::new(&secret).expect("a key");
-        let (now, index) = (any_timestamp(), kani::any());
-        if kani::any() {
-            let stamper = Stamper::resume(kani::any(), any_timestamp());
-            let signing = only_unsigned_is_signed(packet, &key, stamper, now, index);
-            kani::cover!(signing.is_ok(), "signed");
-            kani::cover!(signing == Err(Refusal::AlreadySigned), "already signed");
-            kani::cover!(signing == Err(Refusal::Mavlink1), "MAVLink 1");
-        } else {
-            let window = Window {
-                past: kani::any(),
-                ahead: kani::any(),
-            };
-            let replay = Replay::resume(kani::any(), window, any_timestamp());
-            let whole = kani::any();
-            let forward = if whole {
-                Forward::Whole
-            } else {
-                Forward::Stripped
-            };
-            let left = only_verified_leaves(packet, &key, replay, forward, now, index);
-            kani::cover!(left.is_ok() && whole, "whole");
-            kani::cover!(left.is_ok() && !whole, "stripped");
-            kani::cover!(left == Err(Refusal::NotSigned), "not signed");
-            kani::cover!(left == Err(Refusal::Replayed), "replayed");
-        }
+        SigningKey::new(&secret).expect("not zero")
     }
 
-    crate::for_payload_lengths! { passes:
-        l1_passes_0 0,
-        l1_passes_9 9,
-        l1_passes_255 255,
+    fn any_replay() -> Replay {
+        let window = Window {
+            past: kani::any(),
+            ahead: kani::any(),
+        };
+        Replay::resume(kani::any(), window, any_timestamp())
+    }
+
+    /// Any bytes of a frame with these flags and this length, and more behind it.
+    fn any_frame(flags: u8, payload_length: u8) -> [u8; MAX_FRAME_SIZE] {
+        let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();
+        [bytes[0], bytes[1], bytes[2]] = [MAGIC, payload_length, flags];
+        bytes
+    }
+
+    fn leaves<const LENGTH: usize>() {
+        set_checksum(kani::any());
+        let bytes = any_frame(1, LENGTH as u8);
+        let Ok(packet) = Packet::parse(&bytes[..LENGTH + 25], |_| Some(0)) else {
+            return;
+        };
+        let whole = kani::any();
+        let forward = if whole {
+            Forward::Whole
+        } else {
+            Forward::Stripped
+        };
+        let (now, index) = (any_timestamp(), kani::any());
+        let left = only_verified_leaves(packet, &any_key(), any_replay(), forward, now, index);
+        kani::cover!(left.is_ok() && whole, "whole");
+        kani::cover!(left.is_ok() && !whole, "stripped");
+        kani::cover!(left == Err(Refusal::Replayed), "replayed");
+    }
+
+    crate::for_payload_lengths! { leaves:
+        l1_only_verified_leaves_0 0,
+        l1_only_verified_leaves_9 9,
+        l1_only_verified_leaves_255 255,
+    }
+
+    fn signs<const LENGTH: usize>() {
+        set_checksum(kani::any());
+        let bytes = any_frame(0, LENGTH as u8);
+        let Ok(packet) = Packet::parse(&bytes[..LENGTH + 12], |_| Some(0)) else {
+            return;
+        };
+        let stamper = Stamper::resume(kani::any(), any_timestamp());
+        let (now, index) = (any_timestamp(), kani::any());
+        let signing = only_unsigned_is_signed(packet, &any_key(), stamper, now, index);
+        kani::cover!(signing.is_ok(), "signed");
+        kani::cover!(signing == Err(Refusal::UnknownMessage), "unknown");
+    }
+
+    crate::for_payload_lengths! { signs:
+        l1_only_unsigned_is_signed_0 0,
+        l1_only_unsigned_is_signed_9 9,
+        l1_only_unsigned_is_signed_255 255,
+    }
+
+    /// What neither side lets through, of every length.
+    #[kani::proof]
+    #[kani::unwind(33)]
+    #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+    fn l1_the_wrong_kind_is_refused() {
+        set_checksum(kani::any());
+        let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();
+        let mavlink1 = kani::any();
+        let signed = kani::any();
+        bytes[0] = if mavlink1 { MAGIC_V1 } else { MAGIC };
+        let bytes = any_prefix(&bytes);
+        let Ok(packet) = Packet::parse(bytes, |_| Some(0)) else {
+            return;
+        };
+        if let Packet::Mavlink2(frame) = packet {
+            kani::assume(frame.is_signed() == signed);
+        }
+        let (key, now) = (any_key(), any_timestamp());
+        if mavlink1 || signed {
+            let mut signer = Signer::new(Stamper::resume(kani::any(), any_timestamp()));
+            let refusal = signer.sign(packet, &key, now).err();
+            let expected = if mavlink1 {
+                Refusal::Mavlink1
+            } else {
+                Refusal::AlreadySigned
+            };
+            assert_eq!(refusal, Some(expected));
+            kani::cover!(mavlink1, "MAVLink 1, to be signed");
+            kani::cover!(
+                !mavlink1 && bytes.len() == MAX_FRAME_SIZE,
+                "the longest, signed already"
+            );
+        }
+        if mavlink1 || !signed {
+            let refusal = Verifier::new(any_replay(), Forward::Whole)
+                .verify(packet, &key, now)
+                .err();
+            let expected = if mavlink1 {
+                Refusal::Mavlink1
+            } else {
+                Refusal::NotSigned
+            };
+            assert_eq!(refusal, Some(expected));
+            kani::cover!(mavlink1, "MAVLink 1, to be verified");
+            kani::cover!(!mavlink1, "not signed");
+        }
     }
 }
