@@ -107,7 +107,9 @@ mod twins {
     };
     use hmac::digest::typenum::{U32, U64};
     use hmac::digest::{HashMarker, Output};
-    use mavlink_signing::{Hmac, Profile};
+    use mavlink_signing::{
+        Frame, FrameRef, Hmac, Profile, SigningKey, Stamp, Timestamp, authenticate, sign_frame,
+    };
     use sha2::block_api::compress256;
 
     /// State before, block, state after.
@@ -199,6 +201,31 @@ mod twins {
                     };
                     call_is_rfc2104(&key, &message, &outputs, look);
                 }
+            }
+        }
+    }
+
+    /// The key is absorbed once, when it is loaded; a frame of 3 bytes then costs two compressions
+    /// to sign and two to verify, a longer one what its length says.
+    #[test]
+    fn s3_compressions() {
+        let key = SigningKey::<Hmac<Recording>>::new(&[7; KEY_SIZE]).expect("a key");
+        assert_eq!(CALLS.take().len(), 2, "the inner and the outer key block");
+        let stamp = Stamp {
+            link_id: 1,
+            timestamp: Timestamp::ZERO,
+        };
+        for length in 0..=255 {
+            let mut frame = Frame::new(crate::HEARTBEAT, &vec![7; length]).expect("a frame");
+            sign_frame(&mut frame, &key, stamp).expect("signed");
+            let to_sign = CALLS.take().len();
+            let received = FrameRef::parse(frame.as_bytes()).expect("a frame");
+            authenticate(received, &key).expect("authentic");
+            let to_verify = CALLS.take().len();
+            assert_eq!(to_sign, calls(received.as_bytes().len() - 6) - 2);
+            assert_eq!(to_verify, to_sign);
+            if length == 3 {
+                assert_eq!(to_sign + to_verify, 4);
             }
         }
     }

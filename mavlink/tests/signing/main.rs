@@ -1,7 +1,6 @@
 //! The tests of the signing core that need more than one module of it.
 
 mod common;
-mod compressions;
 mod decoder;
 mod frames;
 mod seed;
