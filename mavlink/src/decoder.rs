@@ -6,7 +6,10 @@ use heapless::Vec;
 
 use crate::crc::checksum;
 use crate::error::ParseError;
-use crate::field::{CHECKED, CHECKSUM_SIZE, HEADER_SIZE_V1, MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
+use crate::field::{
+    CHECKED, CHECKSUM_SIZE, HEADER_SIZE, HEADER_SIZE_V1, INCOMPAT_FLAGS, MAGIC, MAGIC_V1,
+    MAX_FRAME_SIZE, SIGNATURE_SIZE, SIGNED_FLAG,
+};
 use crate::frame::FrameRef;
 use crate::header::MessageId;
 
@@ -144,18 +147,34 @@ impl core::error::Error for DecodeError {
     }
 }
 
+/// Where to look on after what began like a packet and is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Resync {
+    /// At its second byte: the magic byte may have been noise, and what follows a real packet. For
+    /// packets that are verified afterwards.
+    ///
+    /// A packet inside the payload of a damaged or unknown one comes out too. Whoever sends bytes
+    /// can make a checksum be computed over up to 267 bytes for every 10 that it sends.
+    NextByte,
+    /// After the end that it announces: a payload is never taken for packets. For packets that are
+    /// trusted because of where they come from. Noise that begins like a packet may cost the
+    /// packets behind it, 280 bytes at most.
+    AnnouncedEnd,
+}
+
 /// Finds the packets in a stream of bytes.
 ///
 /// Holds at most the 280 bytes of one frame. What it finds does not depend on how the stream is
 /// cut into calls of [`write`](Self::write).
 ///
 /// ```
-/// use mavlink_signing::{Decoder, Packet, dialect::crc_extra};
+/// use mavlink_signing::{Decoder, Packet, Resync, dialect::crc_extra};
 ///
 /// let heartbeat = [
 ///     0xFD, 9, 0, 0, 78, 1, 1, 0, 0, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xC9, 0x78,
 /// ];
-/// let mut decoder = Decoder::new(crc_extra);
+/// let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
 /// decoder.write(b"noise");
 /// decoder.write(&heartbeat);
 /// let Some(Ok(Packet::Mavlink2(frame))) = decoder.read() else { panic!() };
@@ -173,6 +192,7 @@ pub struct Decoder {
     /// No byte has come for so long that no packet begun will be finished.
     idle: bool,
     dropped: u32,
+    resync: Resync,
     crc_extra: fn(MessageId) -> Option<u8>,
 }
 
@@ -180,8 +200,9 @@ impl Decoder {
     /// An empty decoder that checks checksums with `crc_extra`:
     /// [`dialect::crc_extra`](crate::dialect::crc_extra), or a table of your own.
     #[must_use]
-    pub const fn new(crc_extra: fn(MessageId) -> Option<u8>) -> Self {
+    pub const fn new(resync: Resync, crc_extra: fn(MessageId) -> Option<u8>) -> Self {
         Self {
+            resync,
             buffer: Vec::new(),
             done: 0,
             lent: 0,
@@ -197,9 +218,11 @@ impl Decoder {
     pub fn write(&mut self, bytes: &[u8]) -> usize {
         self.take_back();
         let done = self.done.min(self.buffer.len());
-        self.buffer.copy_within(done.., 0);
-        self.buffer.truncate(self.buffer.len() - done);
-        self.done = 0;
+        if done > 0 {
+            self.buffer.copy_within(done.., 0);
+            self.buffer.truncate(self.buffer.len() - done);
+            self.done = 0;
+        }
         let room = self.room();
         let taken = bytes.get(..room).unwrap_or(bytes);
         let appended = self.buffer.extend_from_slice(taken);
@@ -220,14 +243,11 @@ impl Decoder {
     /// The next packet, or why something that began like one is none; `None` when more bytes are
     /// needed.
     ///
-    /// Of what is no packet only the magic byte is dropped and the rest is looked at again: a
-    /// packet that noise or a damaged packet seems to contain is not lost.
-    ///
     /// # Errors
     ///
     /// [`DecodeError::UnknownMessage`], [`DecodeError::BadChecksum`], and of
     /// [`DecodeError::Parse`] only unknown incompatibility flags: what has no magic byte is
-    /// skipped, what is cut short is waited for.
+    /// skipped, what is cut short is waited for. The search goes on as [`Resync`] says.
     pub fn read(&mut self) -> Option<Result<Packet<'_>, DecodeError>> {
         self.take_back();
         let Self {
@@ -236,35 +256,45 @@ impl Decoder {
             lent,
             idle,
             dropped,
+            resync,
             crc_extra,
         } = self;
         loop {
             let pending = buffer.get(*done..).unwrap_or_default();
-            let skip = match Packet::parse(pending, *crc_extra) {
+            let mut drop = |count: usize| {
+                *done += count;
+                *dropped = dropped.saturating_add(count as u32);
+            };
+            match Packet::parse(pending, *crc_extra) {
                 Ok(packet) => {
                     *lent = packet.as_bytes().len();
                     return Some(Ok(packet));
                 }
-                Err(DecodeError::Parse(ParseError::BadMagic(_))) => noise(pending),
-                Err(DecodeError::Parse(ParseError::Truncated)) if pending.is_empty() || !*idle => {
-                    return None;
+                Err(DecodeError::Parse(ParseError::BadMagic(_))) => drop(noise(pending)),
+                Err(DecodeError::Parse(ParseError::Truncated)) => {
+                    if pending.is_empty() || !*idle {
+                        return None;
+                    }
+                    drop(resync.skip(pending).min(pending.len()));
                 }
-                Err(DecodeError::Parse(ParseError::Truncated)) => 1,
                 Err(fault) => {
-                    *done += 1;
-                    *dropped = dropped.saturating_add(1);
+                    let skip = resync.skip(pending);
+                    // What it announces may not have come yet; it is waited for like a packet.
+                    if skip > pending.len() && !*idle {
+                        return None;
+                    }
+                    drop(skip.min(pending.len()));
                     return Some(Err(fault));
                 }
-            };
-            *done += skip;
-            *dropped = dropped.saturating_add(skip as u32);
+            }
         }
     }
 
     /// Says that the line has been silent for longer than any sender pauses within a packet.
     ///
-    /// What has begun like a packet is given up: noise that announces 255 bytes no longer holds
-    /// back the real packet behind it, which the next [`read`](Self::read) finds.
+    /// What has begun like a packet is given up: noise that announces 255 bytes no longer holds back
+    /// what follows. With [`Resync::NextByte`] the next [`read`](Self::read) finds the packet behind
+    /// such noise.
     pub const fn idle(&mut self) {
         self.idle = true;
     }
@@ -280,6 +310,29 @@ impl Decoder {
         self.done += self.lent;
         self.lent = 0;
     }
+}
+
+impl Resync {
+    /// How many bytes of `pending` to give up, which begin like a packet and are none; more than
+    /// there are if its end has not come yet.
+    fn skip(self, pending: &[u8]) -> usize {
+        match self {
+            Self::NextByte => 1,
+            Self::AnnouncedEnd => announced_size(pending).unwrap_or(pending.len()),
+        }
+    }
+}
+
+/// Bytes of the packet that `pending` begins like, which may not have come yet; `None` if not even
+/// its length has come.
+fn announced_size(pending: &[u8]) -> Option<usize> {
+    let (magic, length) = (*pending.first()?, usize::from(*pending.get(1)?));
+    if magic == MAGIC_V1 {
+        return Some(HEADER_SIZE_V1 + length + CHECKSUM_SIZE);
+    }
+    let signed = pending.get(INCOMPAT_FLAGS)? & SIGNED_FLAG != 0;
+    let signature = if signed { SIGNATURE_SIZE } else { 0 };
+    Some(HEADER_SIZE + length + CHECKSUM_SIZE + signature)
 }
 
 /// Bytes before the next magic byte.

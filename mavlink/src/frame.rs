@@ -41,8 +41,8 @@ impl Signature {
 
 /// A received frame: a view of its bytes that nobody has vouched for yet.
 ///
-/// The header can be read, for logs and routing; the payload cannot: it is handed out by
-/// [`Verified`](crate::Verified) alone.
+/// The header can be read, for logs and routing, and the bytes as a whole, to be passed on. There is
+/// no accessor for the payload: that is [`Verified`](crate::Verified)'s.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FrameRef<'a> {
     bytes: &'a [u8],
@@ -282,6 +282,9 @@ impl TryFrom<FrameRef<'_>> for Frame {
 
 impl fmt::Debug for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Frame").field(&self.bytes).finish()
+        match FrameRef::parse(&self.bytes) {
+            Ok(frame) => frame.fmt(f),
+            Err(_) => f.write_str("Frame"),
+        }
     }
 }

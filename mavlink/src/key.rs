@@ -11,8 +11,8 @@ pub const KEY_SIZE: usize = 32;
 
 /// A key, prepared for one profile.
 ///
-/// There is no way to read it back, [`Debug`] does not show it, and it is wiped when dropped.
-#[derive(Clone)]
+/// There is no way to read it back and [`Debug`] does not show it. Its memory is wiped when it is
+/// dropped; what its preparation leaves on the stack is not.
 pub struct SigningKey<P = Hmac> {
     profile: P,
 }

@@ -25,7 +25,7 @@ mod sign;
 mod time;
 mod verify;
 
-pub use decoder::{DecodeError, Decoder, Mavlink1, Packet};
+pub use decoder::{DecodeError, Decoder, Mavlink1, Packet, Resync};
 pub use error::{KeyError, ParseError, SignError, VerifyError};
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
@@ -35,6 +35,8 @@ pub use replay::Replay;
 pub use sign::sign_frame;
 pub use time::{Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
 pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};
+/// What a [`Profile`] promises: it wipes itself when it is dropped.
+pub use zeroize::ZeroizeOnDrop;
 
 /// The project's README, so that its example is compiled and run.
 #[cfg(doctest)]

@@ -3,7 +3,7 @@
 use hmac::digest::{Mac, common::Key};
 use hmac::{EagerHash, KeyInit};
 use sha2::Sha256;
-use zeroize::Zeroize;
+use zeroize::{Zeroize, ZeroizeOnDrop};
 
 use crate::field::TAG_SIZE;
 use crate::frame::Tag;
@@ -11,9 +11,9 @@ use crate::key::KEY_SIZE;
 
 /// A way to compute tags from a 32-byte key.
 ///
-/// A value holds whatever the profile prepares once from the key. It must wipe itself when
-/// dropped and show no secret in any other way.
-pub trait Profile {
+/// A value holds whatever the profile prepares once from the key, and must not show it. It wipes
+/// itself when dropped, which [`ZeroizeOnDrop`] promises.
+pub trait Profile: ZeroizeOnDrop {
     /// Prepares `key` for use.
     fn new(key: &[u8; KEY_SIZE]) -> Self;
 
@@ -29,12 +29,21 @@ pub trait Profile {
 /// The two compressions that absorb the key are done once for each key; a tag of a frame with up
 /// to 36 bytes of payload then costs two, each further 64 bytes one more. `H` is the hash, so
 /// that a part with a hash unit can put its own behind the same construction.
-#[derive(Clone)]
-pub struct Hmac<H: EagerHash = Sha256> {
+pub struct Hmac<H: EagerHash = Sha256>
+where
+    H::Core: ZeroizeOnDrop,
+{
     keyed: hmac::Hmac<H>,
 }
 
-impl<H: EagerHash> Profile for Hmac<H> {
+// `keyed` is two states of the hash's core, which wipe themselves, and a buffer, empty until a copy
+// of it is used.
+impl<H: EagerHash> ZeroizeOnDrop for Hmac<H> where H::Core: ZeroizeOnDrop {}
+
+impl<H: EagerHash> Profile for Hmac<H>
+where
+    H::Core: ZeroizeOnDrop,
+{
     fn new(key: &[u8; KEY_SIZE]) -> Self {
         // RFC 2104 fills a short key with zeros to the hash's block; doing it here leaves no
         // length that could be wrong.

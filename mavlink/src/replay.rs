@@ -4,14 +4,20 @@ use crate::error::VerifyError;
 use crate::time::{Fresh, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
-/// What a receiver remembers of one stream of frames.
+/// What a receiver remembers of one stream of frames. It is not copied: a copy would accept again
+/// what the original has accepted.
 ///
 /// A link carries one stream: all frames of one sender under one link id. Give each direction of a
 /// link an id of its own: the id is under the tag, so that a sender's own frames, reflected, are
 /// [`VerifyError::WrongLink`].
+#[derive(Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Replay(ReplayState);
+
+/// A [`Replay`]'s contents, for the cell that shares it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Replay {
+pub(crate) struct ReplayState {
     link_id: u8,
     window: Window,
     fresh: Fresh,
@@ -28,29 +34,37 @@ impl Replay {
     /// kept a mark over a restart.
     #[must_use]
     pub const fn resume(link_id: u8, window: Window, first: Timestamp) -> Self {
-        Self {
+        Self(ReplayState {
             link_id,
             window,
             fresh: Fresh::from(first),
-        }
+        })
+    }
+
+    pub(crate) const fn from_state(state: ReplayState) -> Self {
+        Self(state)
+    }
+
+    pub(crate) const fn into_state(self) -> ReplayState {
+        self.0
     }
 
     /// The link that frames must be made for.
     #[must_use]
     pub const fn link_id(&self) -> u8 {
-        self.link_id
+        self.0.link_id
     }
 
     /// How far from the clock frames may be stamped.
     #[must_use]
     pub const fn window(&self) -> Window {
-        self.window
+        self.0.window
     }
 
     /// The timestamp up to which everything is refused; `None` at the start.
     #[must_use]
     pub const fn last(&self) -> Option<Timestamp> {
-        self.fresh.used()
+        self.0.fresh.used()
     }
 
     /// Lets `frame` through if it was made for this link, lies in the window around `now`, and is
@@ -66,14 +80,14 @@ impl Replay {
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError> {
         let stamp = frame.stamp();
-        if stamp.link_id != self.link_id {
+        if stamp.link_id != self.0.link_id {
             return Err(VerifyError::WrongLink(stamp.link_id));
         }
-        self.window.check(stamp.timestamp, now)?;
-        if !self.fresh.contains(stamp.timestamp) {
+        self.0.window.check(stamp.timestamp, now)?;
+        if !self.0.fresh.contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }
-        self.fresh = Fresh::after(stamp.timestamp);
+        self.0.fresh = Fresh::after(stamp.timestamp);
         Ok(Verified::new(frame))
     }
 }

@@ -100,7 +100,8 @@ pub struct Window {
 }
 
 impl Window {
-    /// 10 seconds (1,000,000 ticks) into the past, nothing into the future.
+    /// 10 seconds (1,000,000 ticks) into the past, nothing into the future: the window of the project
+    /// that this one grew from, hence its name.
     ///
     /// The core's default. It needs a clock that both ends share: a sender whose clock is one tick
     /// ahead of the receiver's is refused.
@@ -139,7 +140,10 @@ pub struct Stamp {
 ///
 /// The clock is asked at every frame, so stamps do not fall behind while nothing is sent; two
 /// frames within a tick get two stamps (MAVLink guide, "Message Signing", Timestamp Handling).
-#[derive(Clone, Debug, PartialEq, Eq)]
+///
+/// It is not copied: a copy would give the same stamps again. In a burst it runs ahead of the clock
+/// by a tick a frame, which a receiver with [`Window::SEED`] refuses until its clock has come after.
+#[derive(Debug, PartialEq, Eq)]
 pub struct Stamper {
     link_id: u8,
     fresh: Fresh,

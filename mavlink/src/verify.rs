@@ -11,13 +11,13 @@ use crate::frame::{Frame, FrameRef};
 use crate::header::Header;
 use crate::key::SigningKey;
 use crate::profile::Profile;
-use crate::replay::Replay;
+use crate::replay::{Replay, ReplayState};
 use crate::time::{Stamp, Timestamp};
 
 /// A frame that was signed with the key, at some time: it may be a replay.
 ///
 /// Made by [`authenticate`] alone.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub struct Authentic<'a> {
     frame: FrameRef<'a>,
     stamp: Stamp,
@@ -129,30 +129,32 @@ pub fn authenticate<'a, P: Profile>(
 /// use mavlink_signing::{MavLinkState, Replay, Window};
 ///
 /// static UPLINK: MavLinkState = MavLinkState::new(Replay::new(7, Window::SEED));
-/// # let _ = UPLINK.replay();
+/// assert_eq!(UPLINK.last(), None);
 /// ```
 #[derive(Debug)]
-pub struct MavLinkState(Mutex<Cell<Replay>>);
+pub struct MavLinkState(Mutex<Cell<ReplayState>>);
 
 impl MavLinkState {
     /// Shares `replay`.
     #[must_use]
     pub const fn new(replay: Replay) -> Self {
-        Self(Mutex::new(Cell::new(replay)))
+        Self(Mutex::new(Cell::new(replay.into_state())))
     }
 
-    /// The replay state as it is now.
-    pub fn replay(&self) -> Replay {
-        critical_section::with(|token| self.0.borrow(token).get())
+    /// The timestamp up to which everything is refused; `None` at the start.
+    #[must_use]
+    pub fn last(&self) -> Option<Timestamp> {
+        let state = critical_section::with(|token| self.0.borrow(token).get());
+        Replay::from_state(state).last()
     }
 
     /// [`Replay::admit`] in one critical section: two frames with one stamp cannot both pass.
     fn admit<'a>(&self, frame: Authentic<'a>, now: Timestamp) -> Result<Verified<'a>, VerifyError> {
         critical_section::with(|token| {
             let shared = self.0.borrow(token);
-            let mut replay = shared.get();
+            let mut replay = Replay::from_state(shared.get());
             let verified = replay.admit(frame, now)?;
-            shared.set(replay);
+            shared.set(replay.into_state());
             Ok(verified)
         })
     }

@@ -108,7 +108,8 @@ mod twins {
     use hmac::digest::typenum::{U32, U64};
     use hmac::digest::{HashMarker, Output};
     use mavlink_signing::{
-        Frame, FrameRef, Hmac, Profile, SigningKey, Stamp, Timestamp, authenticate, sign_frame,
+        Frame, FrameRef, Hmac, Profile, SigningKey, Stamp, Timestamp, ZeroizeOnDrop, authenticate,
+        sign_frame,
     };
     use sha2::block_api::compress256;
 
@@ -144,6 +145,9 @@ mod twins {
     }
 
     impl HashMarker for RecordingCore {}
+
+    /// A promise that is not kept: it is a test's, and holds no secret.
+    impl ZeroizeOnDrop for RecordingCore {}
 
     impl BlockSizeUser for RecordingCore {
         type BlockSize = U64;

@@ -37,7 +37,7 @@ macro_rules! for_payload_lengths {
     ($check:ident: $($name:ident $length:literal,)*) => {
         $(
             #[kani::proof]
-            #[kani::unwind(33)]
+            #[kani::unwind(290)]
             #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
             fn $name() {
                 $check::<$length>();

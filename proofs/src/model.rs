@@ -3,14 +3,51 @@
 use core::cell::Cell;
 use core::sync::atomic::{AtomicU16, AtomicUsize, Ordering};
 
-use mavlink_signing::{KEY_SIZE, Profile, Tag};
+use mavlink_signing::{KEY_SIZE, Profile, Replay, Tag, Timestamp, Window, ZeroizeOnDrop};
+
+/// A state that a receiver can be resumed in. Unlike the receiver it can be copied, so that what comes
+/// after a step can be compared with what was before.
+#[derive(Clone, Copy, Debug)]
+pub struct Resumed {
+    /// The link that frames must be made for.
+    pub link_id: u8,
+    /// How far from the clock frames may be stamped.
+    pub window: Window,
+    /// The first timestamp that is not refused as a replay.
+    pub first: Timestamp,
+}
+
+impl Resumed {
+    /// The receiver.
+    #[must_use]
+    pub const fn replay(self) -> Replay {
+        Replay::resume(self.link_id, self.window, self.first)
+    }
+}
+
+#[cfg(kani)]
+impl Resumed {
+    /// Any such state.
+    pub(crate) fn any() -> Self {
+        Self {
+            link_id: kani::any(),
+            window: Window {
+                past: kani::any(),
+                ahead: kani::any(),
+            },
+            first: crate::replay::any_timestamp(),
+        }
+    }
+}
 
 /// A profile whose tag is the first 6 bytes of the key, whatever is covered.
 ///
 /// For a key of any value that is any tag at all, which includes the one a real hash would give:
 /// an over-approximation of every profile. It says nothing about which bytes are covered.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub struct AnyTag(Tag);
+
+impl ZeroizeOnDrop for AnyTag {}
 
 impl Profile for AnyTag {
     fn new(key: &[u8; KEY_SIZE]) -> Self {
@@ -27,7 +64,7 @@ impl Profile for AnyTag {
 /// index that the key chooses.
 ///
 /// If tags agree for every index, the bytes under them agree.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Witness {
     index: usize,
     calls: Cell<u8>,
@@ -48,6 +85,8 @@ impl Witness {
         Self::new(&Self::key(index)).tag(covered)
     }
 }
+
+impl ZeroizeOnDrop for Witness {}
 
 impl Profile for Witness {
     fn new(key: &[u8; KEY_SIZE]) -> Self {

@@ -46,7 +46,7 @@ pub fn front(
 mod twins {
     use super::*;
     use mavlink_signing::dialect::crc_extra;
-    use mavlink_signing::{Decoder, Frame};
+    use mavlink_signing::{Decoder, Frame, Resync};
     use proptest::prelude::*;
 
     /// Streams of frames, damaged ones, magic bytes and noise.
@@ -70,7 +70,7 @@ mod twins {
     /// What is found in `stream`, given to the decoder in pieces whose lengths repeat `cuts`; at
     /// the end the line is silent.
     fn decode(stream: &[u8], cuts: &[usize]) -> (Vec<Vec<u8>>, usize) {
-        let mut decoder = Decoder::new(crc_extra);
+        let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
         let mut cuts = cuts.iter().copied().cycle();
         let mut rest = stream;
         let mut packets = Vec::new();

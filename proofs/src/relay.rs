@@ -1,9 +1,13 @@
 //! L1: nothing from the secure side is signed; nothing unverified leaves on the plain side.
 
 use mavlink_signing::{
-    FrameRef, Packet, Profile, Replay, SigningKey, Stamper, Timestamp, VerifyError, authenticate,
+    FrameRef, MessageId, Packet, Profile, SigningKey, Stamper, Timestamp, VerifyError, authenticate,
 };
 use mavseal_relay::{Forward, Refusal, Signer, Verifier};
+
+use crate::model::Resumed;
+
+const SETUP_SIGNING: MessageId = MessageId::from_le_bytes([0, 1, 0]);
 
 /// L1, towards the plain side: a packet is handed on only if it is verified, by a receiver in the
 /// same state; unsigned, or byte for byte as received, as `forward` says. Returns the refusal.
@@ -21,16 +25,21 @@ use mavseal_relay::{Forward, Refusal, Signer, Verifier};
 pub fn only_verified_leaves<P: Profile>(
     packet: Packet<'_>,
     key: &SigningKey<P>,
-    mut replay: Replay,
+    receiver: Resumed,
     forward: Forward,
     now: Timestamp,
     index: usize,
 ) -> Result<(), Refusal> {
-    let handed_on = Verifier::new(replay, forward).verify(packet, key, now);
+    let handed_on = Verifier::new(receiver.replay(), forward).verify(packet, key, now);
     let Packet::Mavlink2(received) = packet else {
         assert_eq!(handed_on, Err(Refusal::Mavlink1));
         return Err(Refusal::Mavlink1);
     };
+    if received.header().message_id == SETUP_SIGNING {
+        assert_eq!(handed_on, Err(Refusal::SetupSigning));
+        return Err(Refusal::SetupSigning);
+    }
+    let mut replay = receiver.replay();
     let verdict: Result<_, VerifyError> =
         authenticate(received, key).and_then(|authentic| replay.admit(authentic, now));
     match handed_on {
@@ -81,6 +90,7 @@ pub fn only_unsigned_is_signed<P: Profile>(
         panic!("a MAVLink 1 packet was signed");
     };
     assert!(!received.is_signed());
+    assert_ne!(received.header().message_id, SETUP_SIGNING);
     let bytes = frame.as_bytes();
     assert_eq!(bytes.len(), received.as_bytes().len() + 13);
     assert_eq!(bytes[bytes.len() - 13], link_id);
@@ -124,16 +134,40 @@ mod twins {
             }
             let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
             let window = Window { past: 15, ahead: 15 };
-            let replay = Replay::resume(2, window, at(times[1]));
+            let receiver = Resumed { link_id: 2, window, first: at(times[1]) };
             let forward = if whole { Forward::Whole } else { Forward::Stripped };
             for index in 0..frame.as_bytes().len() {
-                let left = only_verified_leaves(packet, &key, replay, forward, at(times[2]), index);
+                let left = only_verified_leaves(packet, &key, receiver, forward, at(times[2]), index);
                 prop_assert!(left.is_err() || (signed && !other_key && link_id == 2));
                 let stamper = Stamper::new(1);
                 let signing = only_unsigned_is_signed(packet, &key, stamper, at(times[2]), index);
                 prop_assert_eq!(signing.is_err(), signed);
             }
         }
+    }
+
+    #[test]
+    fn l1_setup_signing() {
+        let mut header = HEARTBEAT;
+        header.message_id = SETUP_SIGNING;
+        let mut frame = Frame::new(header, &[7; 42]).expect("a frame");
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
+        let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), at(5), 0);
+        assert_eq!(signing, Err(Refusal::SetupSigning));
+        let receiver = Resumed {
+            link_id: 2,
+            window: Window::SEED,
+            first: Timestamp::ZERO,
+        };
+        let stamp = Stamp {
+            link_id: 2,
+            timestamp: at(5),
+        };
+        sign_frame(&mut frame, &key, stamp).expect("signed");
+        let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
+        let left = only_verified_leaves(packet, &key, receiver, Forward::Whole, at(5), 0);
+        assert_eq!(left, Err(Refusal::SetupSigning));
     }
 
     #[test]
@@ -144,8 +178,12 @@ mod twins {
         let now = at(5);
         let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), now, 0);
         assert_eq!(signing, Err(Refusal::Mavlink1));
-        let replay = Replay::new(2, Window::SEED);
-        let left = only_verified_leaves(packet, &key, replay, Forward::Whole, now, 0);
+        let receiver = Resumed {
+            link_id: 2,
+            window: Window::SEED,
+            first: Timestamp::ZERO,
+        };
+        let left = only_verified_leaves(packet, &key, receiver, Forward::Whole, now, 0);
         assert_eq!(left, Err(Refusal::Mavlink1));
     }
 }
@@ -155,21 +193,12 @@ mod harness {
     use super::*;
     use crate::model::{AnyTag, any_checksum, any_prefix, set_checksum};
     use crate::replay::any_timestamp;
-    use mavlink_signing::Window;
     use mavlink_signing::field::{MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
 
     fn any_key() -> SigningKey<AnyTag> {
         let mut secret: [u8; 32] = kani::any();
         secret[31] = 1;
         SigningKey::new(&secret).expect("not zero")
-    }
-
-    fn any_replay() -> Replay {
-        let window = Window {
-            past: kani::any(),
-            ahead: kani::any(),
-        };
-        Replay::resume(kani::any(), window, any_timestamp())
     }
 
     /// Any bytes of a frame with these flags and this length, and more behind it.
@@ -192,7 +221,7 @@ mod harness {
             Forward::Stripped
         };
         let (now, index) = (any_timestamp(), kani::any());
-        let left = only_verified_leaves(packet, &any_key(), any_replay(), forward, now, index);
+        let left = only_verified_leaves(packet, &any_key(), Resumed::any(), forward, now, index);
         kani::cover!(left.is_ok() && whole, "whole");
         kani::cover!(left.is_ok() && !whole, "stripped");
         kani::cover!(left == Err(Refusal::Replayed), "replayed");
@@ -239,6 +268,7 @@ mod harness {
         };
         if let Packet::Mavlink2(frame) = packet {
             kani::assume(frame.is_signed() == signed);
+            kani::assume(frame.header().message_id != SETUP_SIGNING);
         }
         let (key, now) = (any_key(), any_timestamp());
         if mavlink1 || signed {
@@ -257,7 +287,7 @@ mod harness {
             );
         }
         if mavlink1 || !signed {
-            let refusal = Verifier::new(any_replay(), Forward::Whole)
+            let refusal = Verifier::new(Resumed::any(), Forward::Whole)
                 .verify(packet, &key, now)
                 .err();
             let expected = if mavlink1 {

@@ -52,12 +52,25 @@
 //! fn act(frame: &mavlink_signing::FrameRef<'_>) -> usize { frame.payload().len() }
 //! ```
 //!
-//! A verified frame is acted on once; an authentic one may be copied, since it counts for nothing:
+//! What counts once is not copied: a verified frame, an authentic one, a receiver's memory, and a
+//! sender's stamps. A frame that was only parsed may be:
 //!
 //! ```
-//! fn twice<'a>(frame: mavlink_signing::Authentic<'a>) -> [mavlink_signing::Authentic<'a>; 2] { [frame, frame] }
+//! fn twice<'a>(x: mavlink_signing::FrameRef<'a>) -> [mavlink_signing::FrameRef<'a>; 2] { [x.clone(), x] }
 //! ```
 //!
 //! ```compile_fail
-//! fn twice<'a>(frame: mavlink_signing::Verified<'a>) -> [mavlink_signing::Verified<'a>; 2] { [frame, frame] }
+//! fn twice<'a>(x: mavlink_signing::Verified<'a>) -> [mavlink_signing::Verified<'a>; 2] { [x.clone(), x] }
+//! ```
+//!
+//! ```compile_fail
+//! fn twice<'a>(x: mavlink_signing::Authentic<'a>) -> [mavlink_signing::Authentic<'a>; 2] { [x.clone(), x] }
+//! ```
+//!
+//! ```compile_fail
+//! fn twice(x: mavlink_signing::Replay) -> [mavlink_signing::Replay; 2] { [x.clone(), x] }
+//! ```
+//!
+//! ```compile_fail
+//! fn twice(x: mavlink_signing::Stamper) -> [mavlink_signing::Stamper; 2] { [x.clone(), x] }
 //! ```

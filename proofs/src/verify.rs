@@ -3,10 +3,12 @@
 use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, SIGNATURE_SIZE, TAG_SIZE};
 use mavlink_signing::{
-    FrameRef, MessageId, Profile, Replay, SigningKey, Tag, Timestamp, VerifyError, authenticate,
+    FrameRef, MessageId, Profile, SigningKey, Tag, Timestamp, VerifyError, authenticate,
 };
 
-/// V1: [`authenticate`] and [`Replay::admit`] give the verdict of `specified`, which reads the
+use crate::model::Resumed;
+
+/// V1: [`authenticate`] and [`Replay::admit`](mavlink_signing::Replay::admit) give the verdict of `specified`, which reads the
 /// bytes naively; the payload that comes out is the frame's; what is refused changes nothing.
 ///
 /// `checksum` and `tag` are what the code under test computes, or the models that stand for it.
@@ -22,14 +24,14 @@ use mavlink_signing::{
 pub fn accepted_iff<P: Profile>(
     bytes: &[u8],
     key: &SigningKey<P>,
-    replay: Replay,
+    before: Resumed,
     now: Timestamp,
     checksum: impl Fn(&[u8], u8) -> u16,
     tag: impl Fn(&[u8]) -> Tag,
 ) -> Result<Timestamp, VerifyError> {
     let frame = FrameRef::parse(bytes)?;
-    let expected = specified(frame.as_bytes(), &replay, now, checksum, tag);
-    let mut after = replay;
+    let expected = specified(frame.as_bytes(), before, now, checksum, tag);
+    let mut after = before.replay();
     let verdict = authenticate(frame, key).and_then(|authentic| after.admit(authentic, now));
     match verdict {
         Ok(verified) => {
@@ -40,7 +42,7 @@ pub fn accepted_iff<P: Profile>(
         }
         Err(error) => {
             assert_eq!(expected, Err(error));
-            assert_eq!(after, replay);
+            assert_eq!(after, before.replay());
         }
     }
     expected
@@ -49,7 +51,7 @@ pub fn accepted_iff<P: Profile>(
 /// The verdict on a whole frame, condition by condition; the timestamp if it is accepted.
 fn specified(
     frame: &[u8],
-    replay: &Replay,
+    receiver: Resumed,
     now: Timestamp,
     checksum: impl Fn(&[u8], u8) -> u16,
     tag: impl Fn(&[u8]) -> Tag,
@@ -74,20 +76,20 @@ fn specified(
         }
     }
     let link_id = frame[end - SIGNATURE_SIZE];
-    if link_id != replay.link_id() {
+    if link_id != receiver.link_id {
         return Err(VerifyError::WrongLink(link_id));
     }
     let mut ticks = 0;
     for i in 0..6 {
         ticks |= u64::from(frame[end - SIGNATURE_SIZE + 1 + i]) << (8 * i);
     }
-    if ticks > now.ticks() && ticks - now.ticks() > replay.window().ahead {
+    if ticks > now.ticks() && ticks - now.ticks() > receiver.window.ahead {
         return Err(VerifyError::FromFuture);
     }
-    if ticks < now.ticks() && now.ticks() - ticks > replay.window().past {
+    if ticks < now.ticks() && now.ticks() - ticks > receiver.window.past {
         return Err(VerifyError::TooOld);
     }
-    if replay.last().is_some_and(|last| ticks <= last.ticks()) {
+    if ticks < receiver.first.ticks() {
         return Err(VerifyError::Replayed);
     }
     Ok(Timestamp::from_ticks(ticks).expect("6 bytes"))
@@ -114,11 +116,11 @@ mod twins {
         frame.as_bytes().to_vec()
     }
 
-    fn check(bytes: &[u8], replay: Replay, now: u64) {
+    fn check(bytes: &[u8], before: Resumed, now: u64) {
         let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
         let tag = |covered: &[u8]| <Hmac>::new(&KEY).tag(covered);
         let now = Timestamp::from_ticks(now).expect("48 bits");
-        let _ = accepted_iff(bytes, &key, replay, now, checksum, tag);
+        let _ = accepted_iff(bytes, &key, before, now, checksum, tag);
     }
 
     proptest! {
@@ -140,7 +142,7 @@ mod twins {
                 bytes[at] ^= flip;
             }
             let first = Timestamp::from_ticks(first).expect("48 bits");
-            check(&bytes, Replay::resume(1, Window { past, ahead }, first), now);
+            check(&bytes, Resumed { link_id: 1, window: Window { past, ahead }, first }, now);
         }
     }
 
@@ -156,7 +158,11 @@ mod twins {
                     for (past, ahead) in [(0, 0), (5, 0), (0, 5), (u64::MAX, u64::MAX)] {
                         check(
                             &bytes,
-                            Replay::resume(1, Window { past, ahead }, first),
+                            Resumed {
+                                link_id: 1,
+                                window: Window { past, ahead },
+                                first,
+                            },
                             now,
                         );
                     }
@@ -173,17 +179,7 @@ mod harness {
         AnyTag, Witness, any_checksum, any_prefix, checksum_calls, one_checksum, set_checksum,
     };
     use crate::replay::any_timestamp;
-    use mavlink_signing::Window;
     use mavlink_signing::field::MAX_FRAME_SIZE;
-
-    /// Any state that a receiver can be resumed in.
-    fn any_replay() -> Replay {
-        let window = Window {
-            past: kani::any(),
-            ahead: kani::any(),
-        };
-        Replay::resume(kani::any(), window, any_timestamp())
-    }
 
     #[kani::proof]
     #[kani::unwind(33)]
@@ -204,7 +200,7 @@ mod harness {
         let verdict = accepted_iff(
             bytes,
             &key,
-            any_replay(),
+            Resumed::any(),
             any_timestamp(),
             one_checksum,
             tag,
@@ -236,7 +232,7 @@ mod harness {
         let verdict = accepted_iff(
             bytes,
             &key,
-            any_replay(),
+            Resumed::any(),
             any_timestamp(),
             any_checksum,
             tag,

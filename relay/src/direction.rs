@@ -4,10 +4,13 @@
 //! signs. They need no port, so that a shell with input and output of its own can use them alone.
 
 use mavlink_signing::{
-    Frame, Packet, Profile, Replay, SigningKey, Stamper, Timestamp, authenticate, sign_frame,
+    Frame, FrameRef, MessageId, Packet, Profile, Replay, Resync, SigningKey, Stamper, Timestamp,
+    authenticate, sign_frame,
 };
 
 use crate::event::{Direction, Refusal};
+
+const SETUP_SIGNING: MessageId = MessageId::from_le_bytes([0, 1, 0]);
 
 /// Plain to secure: signs what is undamaged and unsigned.
 #[derive(Debug)]
@@ -33,9 +36,7 @@ impl Signer {
         key: &SigningKey<P>,
         now: Timestamp,
     ) -> Result<Frame, Refusal> {
-        let Packet::Mavlink2(frame) = packet else {
-            return Err(Refusal::Mavlink1);
-        };
+        let frame = passable(packet)?;
         if frame.is_signed() {
             return Err(Refusal::AlreadySigned);
         }
@@ -81,9 +82,7 @@ impl Verifier {
         key: &SigningKey<P>,
         now: Timestamp,
     ) -> Result<Frame, Refusal> {
-        let Packet::Mavlink2(frame) = packet else {
-            return Err(Refusal::Mavlink1);
-        };
+        let frame = passable(packet)?;
         let verified = self.replay.admit(authenticate(frame, key)?, now)?;
         Ok(match self.forward {
             Forward::Stripped => verified.to_unsigned(),
@@ -92,9 +91,24 @@ impl Verifier {
     }
 }
 
+/// The frame in a packet that may pass in any direction.
+///
+/// MAVLink 1 has no place for a signature. SETUP_SIGNING carries a key in plain text and is for the
+/// one component that it is sent to (MAVLink guide, "Message Signing", Sharing Secret Keys).
+fn passable(packet: Packet<'_>) -> Result<FrameRef<'_>, Refusal> {
+    match packet {
+        Packet::Mavlink1(_) => Err(Refusal::Mavlink1),
+        Packet::Mavlink2(frame) if frame.header().message_id == SETUP_SIGNING => {
+            Err(Refusal::SetupSigning)
+        }
+        Packet::Mavlink2(frame) => Ok(frame),
+    }
+}
+
 /// What the packets of one direction go through.
 pub(crate) trait Treat {
     const DIRECTION: Direction;
+    const RESYNC: Resync;
 
     fn treat<P: Profile>(
         &mut self,
@@ -106,6 +120,7 @@ pub(crate) trait Treat {
 
 impl Treat for Signer {
     const DIRECTION: Direction = Direction::PlainToSecure;
+    const RESYNC: Resync = Resync::AnnouncedEnd;
 
     fn treat<P: Profile>(
         &mut self,
@@ -119,6 +134,7 @@ impl Treat for Signer {
 
 impl Treat for Verifier {
     const DIRECTION: Direction = Direction::SecureToPlain;
+    const RESYNC: Resync = Resync::NextByte;
 
     fn treat<P: Profile>(
         &mut self,

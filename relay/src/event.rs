@@ -22,6 +22,8 @@ pub enum Direction {
 pub enum Refusal {
     /// A MAVLink 1 packet: it has no place for a signature.
     Mavlink1,
+    /// SETUP_SIGNING: it carries a key.
+    SetupSigning,
     /// Unknown incompatibility flags.
     UnknownIncompatFlags,
     /// A message that the dialect does not define.
@@ -50,8 +52,9 @@ pub enum Refusal {
 
 impl Refusal {
     /// Every reason, in the order of [`Refusal`]'s definition.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Mavlink1,
+        Self::SetupSigning,
         Self::UnknownIncompatFlags,
         Self::UnknownMessage,
         Self::BadChecksum,
@@ -71,6 +74,7 @@ impl Refusal {
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Mavlink1 => "MAVLink 1",
+            Self::SetupSigning => "SETUP_SIGNING",
             Self::UnknownIncompatFlags => "unknown flags",
             Self::UnknownMessage => "unknown message",
             Self::BadChecksum => "bad checksum",
@@ -86,6 +90,18 @@ impl Refusal {
         }
     }
 }
+
+// The counters have a place for each reason, at its discriminant.
+const _: () = {
+    let mut rest: &[Refusal] = &Refusal::ALL;
+    let mut expected = 0;
+    while let [reason, others @ ..] = rest {
+        assert!(*reason as usize == expected);
+        expected += 1;
+        rest = others;
+    }
+    assert!(Refusal::Other as usize + 1 == expected);
+};
 
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -145,11 +161,15 @@ pub enum Event {
 
 /// How often each thing happened in one direction. Every count stays at the top of its range.
 ///
+/// From the secure side, a refusal for flags, message or checksum is counted for each place at which
+/// bytes began like a packet and were none, so that one damaged packet may count more than once.
+///
 /// Anybody who can send bytes can raise the counts of refusals: show them, do not act on them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     passed: u32,
     refused: [u32; Refusal::ALL.len()],
+    dropped: u32,
 }
 
 impl Counters {
@@ -157,6 +177,12 @@ impl Counters {
     #[must_use]
     pub const fn passed(&self) -> u32 {
         self.passed
+    }
+
+    /// Bytes that belonged to no packet: noise, and packets that were damaged, cut short or unknown.
+    #[must_use]
+    pub const fn dropped(&self) -> u32 {
+        self.dropped
     }
 
     /// Packets refused for `reason`.
@@ -168,6 +194,10 @@ impl Counters {
     /// Every reason and how often it was given.
     pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
         Refusal::ALL.into_iter().zip(self.refused)
+    }
+
+    pub(crate) const fn set_dropped(&mut self, dropped: u32) {
+        self.dropped = dropped;
     }
 
     pub(crate) const fn count_passed(&mut self) {

@@ -8,9 +8,14 @@
 //! ```
 //!
 //! * Plain to secure: a frame is signed only if its own checksum is right. Bad checksums, unknown
-//!   messages, MAVLink 1 and frames that are already signed are refused and counted.
+//!   messages, MAVLink 1 and frames that are already signed are refused and counted. The payload of a
+//!   refused packet is not searched for packets, so that bytes that somebody else put there are not
+//!   signed: [`Resync::AnnouncedEnd`](mavlink_signing::Resync).
 //! * Secure to plain: only verified frames leave, without signature or whole. Everything else is
-//!   refused and counted by reason. Nothing that came in on the secure side is ever signed.
+//!   refused and counted by reason. The relay signs nothing that came in on the secure side; where the
+//!   plain side may send back what it receives, hand frames on [whole](Forward::Whole), so that they
+//!   are refused as already signed.
+//! * SETUP_SIGNING, which carries a key, passes in neither direction.
 //!
 //! The relay knows no UART, no clock and no heap. Its ports are [`embedded_io`] ports that say
 //! whether they are ready, its time comes from a [`Clock`], and [`Relay::poll`] never waits. Each
@@ -44,8 +49,8 @@ use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{Profile, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp};
 use pump::Pump;
 
-/// Silence on a line after which a packet that has begun is given up: 100 milliseconds, in ticks of
-/// 10 microseconds. At 57,600 baud the longest frame takes 49 milliseconds.
+/// Silence on a line after which a packet that has begun is given up, unless
+/// [said otherwise](Relay::idle): 100 milliseconds, in ticks of 10 microseconds.
 pub const IDLE: u64 = TICKS_PER_SECOND / 10;
 
 /// Where the relay takes the time from.
@@ -106,9 +111,15 @@ impl<PlainError, SecureError> Polled<PlainError, SecureError> {
 
 /// The in-line signer. See the [crate's documentation](crate).
 pub struct Relay<P> {
-    key: SigningKey<P>,
+    link: Link<P>,
     plain_to_secure: Pump<Signer>,
     secure_to_plain: Pump<Verifier>,
+}
+
+/// What both directions share.
+struct Link<P> {
+    key: SigningKey<P>,
+    idle: u64,
 }
 
 impl<P> fmt::Debug for Relay<P> {
@@ -137,18 +148,26 @@ impl<P: Profile> Relay<P> {
             return Err(SameLinkId(replay.link_id()));
         }
         Ok(Self {
-            key,
+            link: Link { key, idle: IDLE },
             plain_to_secure: Pump::new(Signer::new(stamper)),
             secure_to_plain: Pump::new(Verifier::new(replay, forward)),
         })
     }
 
-    /// Moves what can be moved without waiting, once in each direction: sends what is left of the
-    /// last frame, then looks at the next packet, then reads up to 64 bytes.
+    /// The same relay with `ticks` of silence in place of [`IDLE`]: longer than any pause within a
+    /// packet, such as a radio's slots make.
+    #[must_use]
+    pub const fn idle(mut self, ticks: u64) -> Self {
+        self.link.idle = ticks;
+        self
+    }
+
+    /// Takes one turn in each direction without waiting: sends what is left of the last frame; when
+    /// all of it has left, looks at the next packet; when there is none, reads up to 64 bytes.
     ///
     /// `observe` sees what became of each packet, in order. Call it again at once while
     /// [`Polled::moved`]; otherwise when a port has become ready, and at least every
-    /// [`IDLE`].
+    /// [`IDLE`]; after an error of a port as after a turn in which it moved something.
     pub fn poll<Plain: Port, Secure: Port>(
         &mut self,
         plain: &mut Plain,
@@ -157,22 +176,24 @@ impl<P: Profile> Relay<P> {
         observe: &mut impl FnMut(Event),
     ) -> Polled<Plain::Error, Secure::Error> {
         let Self {
-            key,
+            link,
             plain_to_secure,
             secure_to_plain,
         } = self;
         Polled {
-            plain_to_secure: plain_to_secure.poll(plain, secure, key, clock, observe),
-            secure_to_plain: secure_to_plain.poll(secure, plain, key, clock, observe),
+            plain_to_secure: plain_to_secure.poll(plain, secure, link, clock, observe),
+            secure_to_plain: secure_to_plain.poll(secure, plain, link, clock, observe),
         }
     }
 
     /// What has been signed and refused on its way from the plain to the secure side.
+    #[must_use]
     pub const fn plain_to_secure(&self) -> &Counters {
         self.plain_to_secure.counters()
     }
 
     /// What has been verified and refused on its way from the secure to the plain side.
+    #[must_use]
     pub const fn secure_to_plain(&self) -> &Counters {
         self.secure_to_plain.counters()
     }

@@ -7,7 +7,7 @@ use mavlink_signing::{Decoder, Frame, Profile, SigningKey, Timestamp, dialect};
 
 use crate::direction::Treat;
 use crate::event::{Counters, Event};
-use crate::{Clock, IDLE};
+use crate::{Clock, Link};
 
 /// Bytes read at most in one poll.
 const READ_SIZE: usize = 64;
@@ -16,12 +16,14 @@ const READ_SIZE: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum PortError<Input, Output> {
-    /// The port that is read.
+    /// The port that is read failed.
     Input(Input),
-    /// The port that is written.
+    /// The port that is written failed.
     Output(Output),
+    /// The port that is read said that it was ready, and gave nothing: it has ended.
+    InputClosed,
     /// The port that is written said that it was ready, and took nothing.
-    Closed,
+    OutputClosed,
 }
 
 impl<Input: fmt::Display, Output: fmt::Display> fmt::Display for PortError<Input, Output> {
@@ -29,7 +31,8 @@ impl<Input: fmt::Display, Output: fmt::Display> fmt::Display for PortError<Input
         match self {
             Self::Input(error) => write!(f, "cannot read: {error}"),
             Self::Output(error) => write!(f, "cannot write: {error}"),
-            Self::Closed => f.write_str("the port takes no more bytes"),
+            Self::InputClosed => f.write_str("the port gives no more bytes"),
+            Self::OutputClosed => f.write_str("the port takes no more bytes"),
         }
     }
 }
@@ -47,6 +50,7 @@ pub(crate) struct Pump<T> {
     decoder: Decoder,
     treat: T,
     sending: Option<Sending>,
+    /// When the line was last not silent; `None` when nothing has come since it was.
     heard: Option<Timestamp>,
     counters: Counters,
 }
@@ -61,7 +65,7 @@ struct Sending {
 impl<T: Treat> Pump<T> {
     pub(crate) fn new(treat: T) -> Self {
         Self {
-            decoder: Decoder::new(dialect::crc_extra),
+            decoder: Decoder::new(T::RESYNC, dialect::crc_extra),
             treat,
             sending: None,
             heard: None,
@@ -73,36 +77,37 @@ impl<T: Treat> Pump<T> {
         &self.counters
     }
 
+    /// One turn; whether there is more to do at once.
     pub(crate) fn poll<P: Profile, Input: Read + ReadReady, Output: Write + WriteReady>(
         &mut self,
         input: &mut Input,
         output: &mut Output,
-        key: &SigningKey<P>,
+        link: &Link<P>,
         clock: &mut impl Clock,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let sent = self.send(output).map_err(|error| match error {
-            Some(error) => PortError::Output(error),
-            None => PortError::Closed,
-        })?;
+        let now = clock.now();
+        let sent = self.send(output)?;
+        if sent || self.sending.is_some() {
+            // What was not read meanwhile, the sender may have held back: that is no silence.
+            self.heard = self.heard.map(|_| now);
+        }
         // The frame being sent is the bound on memory: no next one before it has left.
         if self.sending.is_some() {
             return Ok(sent);
         }
-        let now = clock.now();
-        if self.treat_next(key, now, observe) {
+        if self.treat_next(&link.key, now, observe) {
             return Ok(true);
         }
-        let read = self.receive(input, now).map_err(PortError::Input)?;
-        Ok(sent || read)
+        let received = self.receive(input, link.idle, now)?;
+        Ok(sent || received)
     }
 
-    /// Writes what is left of the frame being sent; whether any byte left. A port that is ready
-    /// and yet takes nothing is an error without one of its own.
-    fn send<Output: Write + WriteReady>(
+    /// Writes what is left of the frame being sent; whether any byte left.
+    fn send<InputError, Output: Write + WriteReady>(
         &mut self,
         output: &mut Output,
-    ) -> Result<bool, Option<Output::Error>> {
+    ) -> Result<bool, PortError<InputError, Output::Error>> {
         let mut moved = false;
         while let Some(sending) = &mut self.sending {
             let rest = sending
@@ -112,14 +117,13 @@ impl<T: Treat> Pump<T> {
                 .unwrap_or_default();
             if rest.is_empty() {
                 self.sending = None;
-            } else if !output.write_ready()? {
+            } else if !output.write_ready().map_err(PortError::Output)? {
                 break;
             } else {
-                let written = output.write(rest)?;
-                if written == 0 {
-                    return Err(None);
+                match output.write(rest).map_err(PortError::Output)? {
+                    0 => return Err(PortError::OutputClosed),
+                    written => sending.sent += written,
                 }
-                sending.sent += written;
                 moved = true;
             }
         }
@@ -133,20 +137,21 @@ impl<T: Treat> Pump<T> {
         now: Timestamp,
         observe: &mut impl FnMut(Event),
     ) -> bool {
-        let Some(decoded) = self.decoder.read() else {
-            return false;
-        };
+        let decoded = self.decoder.read();
         let treated = match decoded {
-            Ok(packet) => self.treat.treat(packet, key, now),
-            Err(error) => Err(error.into()),
+            Some(Ok(packet)) => Some(self.treat.treat(packet, key, now)),
+            Some(Err(error)) => Some(Err(error.into())),
+            None => None,
         };
+        self.counters.set_dropped(self.decoder.dropped());
         match treated {
-            Ok(frame) => {
+            None => return false,
+            Some(Ok(frame)) => {
                 self.sending = Some(Sending { frame, sent: 0 });
                 self.counters.count_passed();
                 observe(Event::Passed(T::DIRECTION));
             }
-            Err(refusal) => {
+            Some(Err(refusal)) => {
                 self.counters.count_refused(refusal);
                 observe(Event::Refused(T::DIRECTION, refusal));
             }
@@ -155,30 +160,31 @@ impl<T: Treat> Pump<T> {
     }
 
     /// Reads what has arrived, or notices that nothing has for long; whether there is more to do.
-    fn receive<Input: Read + ReadReady>(
+    fn receive<Input: Read + ReadReady, OutputError>(
         &mut self,
         input: &mut Input,
+        idle: u64,
         now: Timestamp,
-    ) -> Result<bool, Input::Error> {
-        let mut bytes = [0; READ_SIZE];
-        let room = self.decoder.room().min(READ_SIZE);
-        let slots = bytes.get_mut(..room).unwrap_or_default();
-        let count = if input.read_ready()? {
-            input.read(slots)?
-        } else {
-            0
-        };
-        if count > 0 {
+    ) -> Result<bool, PortError<Input::Error, OutputError>> {
+        if input.read_ready().map_err(PortError::Input)? {
+            let mut bytes = [0; READ_SIZE];
+            // The decoder has been read to its end, so there is room for at least one byte.
+            let room = self.decoder.room().min(READ_SIZE);
+            let slots = bytes.get_mut(..room).unwrap_or_default();
+            let count = input.read(slots).map_err(PortError::Input)?;
+            if count == 0 {
+                return Err(PortError::InputClosed);
+            }
             self.decoder.write(bytes.get(..count).unwrap_or_default());
             self.heard = Some(now);
-        } else if self
-            .heard
-            .is_some_and(|heard| now.ticks_since(heard) > IDLE)
-        {
+            return Ok(true);
+        }
+        let silent = |heard| now.ticks_since(heard) > idle;
+        if self.heard.is_some_and(silent) {
             self.heard = None;
             self.decoder.idle();
             return Ok(true);
         }
-        Ok(count > 0)
+        Ok(false)
     }
 }

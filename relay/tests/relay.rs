@@ -24,6 +24,7 @@ struct Line {
     /// Bytes taken by one write at most.
     at_once: usize,
     broken: bool,
+    ended: bool,
 }
 
 impl Line {
@@ -62,13 +63,16 @@ impl ReadReady for Line {
         if self.broken {
             return Err(Broken);
         }
-        Ok(!self.input.is_empty())
+        Ok(self.ended || !self.input.is_empty())
     }
 }
 
 impl Read for Line {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Broken> {
-        assert!(!self.input.is_empty(), "the relay never waits for input");
+        assert!(
+            self.ended || !self.input.is_empty(),
+            "the relay never waits for input"
+        );
         Ok(std::io::Read::read(&mut self.input, buffer).expect("memory"))
     }
 }
@@ -365,7 +369,7 @@ fn a_port_that_takes_nothing_is_closed() {
             break error;
         }
     };
-    assert_eq!(error, PortError::Closed);
+    assert_eq!(error, PortError::OutputClosed);
 
     // The frame is still there.
     bench.secure.at_once = 280;
@@ -375,15 +379,27 @@ fn a_port_that_takes_nothing_is_closed() {
 
 #[test]
 fn silence_gives_up_what_noise_began() {
+    // From the secure side the packet behind the noise is found.
+    let mut bench = Bench::new();
+    bench.secure.input.extend([0xFD, 255, 0]);
+    bench.secure_in(signed(&[1, 2, 3], LINK_IN, NOW).as_bytes());
+    assert!(bench.plain.output.is_empty());
+    bench.now += IDLE;
+    bench.run();
+    assert!(bench.plain.output.is_empty(), "not yet silent for long");
+    bench.now += 1;
+    bench.run();
+    assert_eq!(bench.relay.secure_to_plain().passed(), 1);
+
+    // On the plain side it may be the noise's payload; the next one is found.
     let mut bench = Bench::new();
     bench.plain.input.extend([0xFD, 255, 0]);
     bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
+    bench.now += IDLE + 1;
+    bench.run();
     assert!(bench.secure.output.is_empty());
-    bench.now += IDLE;
-    bench.run();
-    assert!(bench.secure.output.is_empty(), "not yet silent for long");
-    bench.now += 1;
-    bench.run();
+    assert_eq!(bench.relay.plain_to_secure().dropped(), 3 + 15);
+    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
     assert_eq!(bench.relay.plain_to_secure().passed(), 1);
 }
 
@@ -436,4 +452,92 @@ fn both_directions_at_once_in_pieces() {
         assert_eq!(bench.secure.output, signed_out, "pieces of {size}");
         assert_eq!(bench.plain.output, stripped, "pieces of {size}");
     }
+}
+
+#[test]
+fn a_stall_is_no_silence() {
+    let mut bench = Bench::new();
+    let (first, second) = (unsigned(&[1; 50]), unsigned(&[2; 50]));
+    bench.secure.room = 10;
+    let (begun, held_back) = second.as_bytes().split_at(20);
+    bench.plain.input.extend(first.as_bytes());
+    bench.plain_in(begun);
+    for _ in 0..10 {
+        bench.now += IDLE;
+        bench.run();
+    }
+    bench.secure.room = usize::MAX;
+    bench.run();
+    bench.plain_in(held_back);
+    assert_eq!(bench.relay.plain_to_secure().passed(), 2);
+    assert_eq!(bench.relay.plain_to_secure().dropped(), 0);
+}
+
+#[test]
+fn silence_is_as_long_as_one_says() {
+    let mut bench = Bench::new();
+    bench.relay = {
+        let replay = Replay::new(LINK_IN, Window::SEED);
+        let relay = Relay::new(key(), Stamper::new(LINK_OUT), replay, Forward::Stripped);
+        relay.expect("different links").idle(10 * IDLE)
+    };
+    let frame = unsigned(&[1, 2, 3]);
+    let (begun, rest) = frame.as_bytes().split_at(5);
+    bench.plain_in(begun);
+    bench.now += 10 * IDLE;
+    bench.plain_in(rest);
+    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+
+    bench.plain_in(begun);
+    bench.now += 10 * IDLE + 1;
+    bench.run();
+    bench.plain_in(rest);
+    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+    let dropped = bench.relay.plain_to_secure().dropped();
+    assert_eq!(dropped as usize, frame.as_bytes().len());
+}
+
+#[test]
+fn a_payload_of_the_plain_side_is_not_signed_for_a_packet() {
+    let inner = unsigned(&[1, 2, 3]);
+    let mut outer = unsigned(inner.as_bytes()).as_bytes().to_vec();
+    outer[7..10].copy_from_slice(&[0xF0; 3]);
+    let mut bench = Bench::new();
+    bench.plain_in(&outer);
+    assert!(bench.secure.output.is_empty());
+    let refused = refusals(bench.relay.plain_to_secure());
+    assert_eq!(refused, [(Refusal::UnknownMessage, 1)]);
+}
+
+#[test]
+fn setup_signing_passes_in_no_direction() {
+    let header = Header {
+        compat_flags: 0,
+        sequence: 0,
+        system_id: 255,
+        component_id: 190,
+        message_id: MessageId::new(256).expect("24 bits"),
+    };
+    let mut frame = Frame::new(header, &[7; 42]).expect("a frame");
+    let mut bench = Bench::new();
+    bench.plain_in(frame.as_bytes());
+    let stamp = Stamp {
+        link_id: LINK_IN,
+        timestamp: at(NOW),
+    };
+    sign_frame(&mut frame, &key(), stamp).expect("signed");
+    bench.secure_in(frame.as_bytes());
+    assert!(bench.plain.output.is_empty() && bench.secure.output.is_empty());
+    let expected = [(Refusal::SetupSigning, 1)];
+    assert_eq!(refusals(bench.relay.plain_to_secure()), expected);
+    assert_eq!(refusals(bench.relay.secure_to_plain()), expected);
+}
+
+#[test]
+fn a_port_that_gives_nothing_has_ended() {
+    let mut bench = Bench::new();
+    bench.plain.ended = true;
+    let polled = bench.poll();
+    assert_eq!(polled.plain_to_secure, Err(PortError::InputClosed));
+    assert_eq!(polled.secure_to_plain, Ok(false));
 }

@@ -63,7 +63,7 @@ pub fn receive<'a>(
 
 /// Asserts that `bytes` are refused with `error` and that the receiver does not remember them.
 pub fn assert_refused(bytes: &[u8], ticks: u64, state: &MavLinkState, error: VerifyError) {
-    let before = state.replay();
+    let before = state.last();
     assert_eq!(receive(bytes, ticks, state).expect_err("refused"), error);
-    assert_eq!(state.replay(), before, "state after {error}");
+    assert_eq!(state.last(), before, "state after {error}");
 }

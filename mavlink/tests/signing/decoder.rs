@@ -1,7 +1,9 @@
 //! The decoder: whatever comes over the line, in whatever pieces.
 
 use crate::common::*;
-use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, ParseError, dialect::crc_extra};
+use mavlink_signing::{
+    DecodeError, Decoder, MessageId, Packet, ParseError, Resync, dialect::crc_extra,
+};
 
 /// A MAVLink 1 HEARTBEAT.
 const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
@@ -27,7 +29,7 @@ fn read_all(decoder: &mut Decoder) -> Vec<Found> {
 
 /// Everything that is found when `stream` comes in pieces of `size`.
 fn decode(stream: &[u8], size: usize) -> Vec<Found> {
-    let mut decoder = Decoder::new(crc_extra);
+    let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
     let mut found = Vec::new();
     for mut piece in stream.chunks(size) {
         while !piece.is_empty() {
@@ -88,7 +90,7 @@ fn the_cut_of_the_stream_does_not_matter() {
 #[test]
 fn every_byte_is_dropped_or_in_a_packet() {
     let stream = stream();
-    let mut decoder = Decoder::new(crc_extra);
+    let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
     let mut rest = &stream[..];
     let mut in_packets = 0;
     while !rest.is_empty() {
@@ -109,14 +111,14 @@ fn unknown_messages_and_flags_are_told() {
     let mut unknown = unsigned(0, &[1]).as_bytes().to_vec();
     let id = header(UNKNOWN).message_id;
     unknown[7..10].copy_from_slice(&id.to_le_bytes());
-    let mut decoder = Decoder::new(crc_extra);
+    let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
     decoder.write(&unknown);
     let first = decoder.read().expect("a fault");
     assert_eq!(first.expect_err("unknown"), DecodeError::UnknownMessage(id));
 
     let mut flags = unsigned(0, &[1]).as_bytes().to_vec();
     flags[2] = 0x82;
-    let mut decoder = Decoder::new(crc_extra);
+    let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
     decoder.write(&flags);
     let first = decoder.read().expect("a fault");
     assert_eq!(
@@ -128,7 +130,7 @@ fn unknown_messages_and_flags_are_told() {
 #[test]
 fn noise_that_announces_255_bytes_holds_nothing_back() {
     let frame = signed(&[1, 2, 3], NOW);
-    let mut decoder = Decoder::new(crc_extra);
+    let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
     decoder.write(&[0xFD, 255, 0, 0]);
     decoder.write(frame.as_bytes());
     assert!(decoder.read().is_none(), "it may still be a packet of 267");
@@ -150,10 +152,64 @@ fn noise_that_announces_255_bytes_holds_nothing_back() {
 #[test]
 fn a_partial_packet_is_given_up_when_the_line_is_idle() {
     let frame = signed(&[1, 2, 3], NOW);
-    let mut decoder = Decoder::new(crc_extra);
+    let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
     decoder.write(&frame.as_bytes()[..20]);
     decoder.idle();
     assert!(decoder.read().is_none());
     assert_eq!(decoder.dropped(), 20);
     assert_eq!(decoder.room(), 280);
+}
+
+/// An unknown or damaged packet whose payload is a whole frame, and a frame behind it.
+fn packet_in_packet(outer: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
+    let inner = unsigned(0, &[1, 2, 3]);
+    let mut stream = unsigned(0, inner.as_bytes()).as_bytes().to_vec();
+    outer(&mut stream);
+    stream.extend(unsigned(0, &[4, 5, 6]).as_bytes());
+    stream
+}
+
+#[test]
+fn a_payload_is_taken_for_packets_only_where_that_is_asked_for() {
+    let unknown = packet_in_packet(|packet| packet[7..10].copy_from_slice(&[0xF0; 3]));
+    let damaged = packet_in_packet(|packet| packet[4] ^= 1);
+    let flags = packet_in_packet(|packet| packet[2] = 4);
+    for stream in [unknown, damaged, flags] {
+        for size in 1..=stream.len() {
+            let counts = [Resync::NextByte, Resync::AnnouncedEnd].map(|resync| {
+                let mut decoder = Decoder::new(resync, crc_extra);
+                let mut found = Vec::new();
+                for piece in stream.chunks(size) {
+                    assert_eq!(decoder.write(piece), piece.len());
+                    found.extend(read_all(&mut decoder));
+                }
+                let inner = Found::Mavlink2(unsigned(0, &[1, 2, 3]).as_bytes().into());
+                let behind = Found::Mavlink2(unsigned(0, &[4, 5, 6]).as_bytes().into());
+                assert_eq!(found.last(), Some(&behind));
+                (found.contains(&inner), found.len())
+            });
+            assert!(counts[0].0, "the next byte");
+            assert_eq!(counts[1], (false, 2), "one fault, one packet");
+        }
+    }
+}
+
+#[test]
+fn a_cut_packet_is_given_up_whole_where_payloads_are_not_searched() {
+    let mut stream = packet_in_packet(|_| ());
+    stream.truncate(26);
+    let mut decoder = Decoder::new(Resync::AnnouncedEnd, crc_extra);
+    decoder.write(&stream);
+    assert!(decoder.read().is_none());
+    decoder.idle();
+    assert!(decoder.read().is_none());
+    assert_eq!(decoder.dropped(), 26);
+
+    for cut in 1..4 {
+        let mut decoder = Decoder::new(Resync::AnnouncedEnd, crc_extra);
+        decoder.write(&stream[..cut]);
+        decoder.idle();
+        assert!(decoder.read().is_none());
+        assert_eq!(decoder.dropped() as usize, cut);
+    }
 }

@@ -1,10 +1,12 @@
 //! Frames of every length, every damage, every edge of time.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use crate::common::*;
 use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE, SIGNATURE_SIZE, TAG_SIZE};
 use mavlink_signing::{
-    Frame, FrameRef, Hmac, KeyError, ParseError, Replay, SignError, SigningKey, Stamp, Stamper,
-    Timestamp, VerifyError, Window, authenticate, dialect, sign_frame,
+    Frame, FrameRef, Hmac, KeyError, MessageId, ParseError, Replay, SignError, SigningKey, Stamp,
+    Stamper, Timestamp, VerifyError, Window, authenticate, dialect, sign_frame,
 };
 
 /// The checksum by a library that shares no code with this one.
@@ -57,21 +59,58 @@ fn every_message_of_the_dialect() {
         assert_eq!(bytes[12..], checksum(&bytes[1..12], crc_extra));
         let received = FrameRef::parse(bytes).expect("a frame");
         assert_eq!(received.header(), header(id.get()));
+
+        // Signed and verified, whatever bytes the id has.
+        let mut signed = Frame::try_from(received).expect("its checksum is right");
+        let stamp = Stamp {
+            link_id: LINK_ID,
+            timestamp: at(NOW),
+        };
+        sign_frame(&mut signed, &key(), stamp).expect("signed");
+        let (covered, tag) = signed.as_bytes().split_at(19 + 2);
+        assert_eq!(tag, &hmac_sha256::HMAC::mac(covered, KEY)[..TAG_SIZE]);
+        let state = fresh();
+        let verified = receive(signed.as_bytes(), NOW, &state).expect("verified");
+        assert_eq!(verified.header(), header(id.get()));
+    }
+}
+
+/// The verdict on a signed HEARTBEAT in which bit `bit` is wrong.
+fn verdict_on_flip(bit: usize, length: usize) -> Vec<VerifyError> {
+    let (byte, mask) = (bit / 8, 1_u8 << (bit % 8));
+    match byte {
+        0 => vec![VerifyError::Parse(ParseError::BadMagic(0xFD ^ mask))],
+        // Shorter than announced, or the checksum is looked for elsewhere.
+        1 if length as u8 & mask == 0 => vec![VerifyError::Parse(ParseError::Truncated)],
+        1 => vec![VerifyError::BadChecksum],
+        2 if mask == 1 => vec![VerifyError::NotSigned],
+        2 => vec![VerifyError::Parse(ParseError::UnknownIncompatFlags(
+            1 | mask,
+        ))],
+        7..10 => {
+            let id = MessageId::new(1 << (bit - 7 * 8)).expect("24 bits");
+            vec![VerifyError::UnknownMessage(id), VerifyError::BadChecksum]
+        }
+        _ if byte < 10 + length + 2 => vec![VerifyError::BadChecksum],
+        _ => vec![VerifyError::BadTag],
     }
 }
 
 #[test]
 fn every_flipped_bit_is_refused() {
-    for length in [0, 1, 9, 255] {
+    for length in 0..=255 {
         let frame = signed(&payload(length), NOW);
         for bit in 0..frame.as_bytes().len() * 8 {
             let mut bytes = frame.as_bytes().to_vec();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let state = fresh();
-            let before = state.replay();
-            let refused = receive(&bytes, NOW, &state);
-            assert!(refused.is_err(), "length {length}, bit {bit}");
-            assert_eq!(state.replay(), before);
+            let error = receive(&bytes, NOW, &state).expect_err("refused");
+            let expected = verdict_on_flip(bit, length);
+            assert!(
+                expected.contains(&error),
+                "length {length}, bit {bit}: {error:?}"
+            );
+            assert_eq!(state.last(), None);
         }
     }
 }
@@ -80,10 +119,15 @@ fn every_flipped_bit_is_refused() {
 fn a_flip_under_a_repaired_checksum_is_a_bad_tag() {
     let frame = signed(&payload(9), NOW);
     let checksum_at = HEADER_SIZE + 9;
-    for bit in (3 * 8..7 * 8).chain(HEADER_SIZE * 8..checksum_at * 8) {
+    for bit in 3 * 8..checksum_at * 8 {
         let mut bytes = frame.as_bytes().to_vec();
         bytes[bit / 8] ^= 1 << (bit % 8);
-        let repaired = checksum(&bytes[1..checksum_at], 50);
+        let id = MessageId::from_le_bytes([bytes[7], bytes[8], bytes[9]]);
+        let Some(crc_extra) = dialect::crc_extra(id) else {
+            assert_refused(&bytes, NOW, &fresh(), VerifyError::UnknownMessage(id));
+            continue;
+        };
+        let repaired = checksum(&bytes[1..checksum_at], crc_extra);
         bytes[checksum_at..checksum_at + 2].copy_from_slice(&repaired);
         assert_refused(&bytes, NOW, &fresh(), VerifyError::BadTag);
     }
@@ -149,7 +193,7 @@ fn a_clock_of_48_bits() {
     let last = signed(&[1], max);
     receive(last.as_bytes(), max, &state).expect("the last");
     assert_refused(last.as_bytes(), max, &state, VerifyError::Replayed);
-    assert_eq!(state.replay().last(), Some(Timestamp::MAX));
+    assert_eq!(state.last(), Some(Timestamp::MAX));
 }
 
 #[test]
@@ -256,14 +300,14 @@ fn nothing_shows_a_key() {
     assert_eq!(format!("{:?}", key()), "SigningKey(redacted)");
 }
 
-/// RFC 4231, section 4, cases 1 to 4, cut to 48 bits. A key shorter than 32 bytes is the same key
+/// RFC 4231, section 4, cases 1 to 5, cut to 48 bits. A key shorter than 32 bytes is the same key
 /// with zeros after it (RFC 2104, section 2); the longer keys of cases 6 and 7 are none here.
 #[test]
 fn hmac_sha256_rfc4231() {
     use mavlink_signing::Profile;
 
     let count_up: Vec<u8> = (1..=25).collect();
-    let cases: [(&[u8], &[u8], [u8; 6]); 4] = [
+    let cases: [(&[u8], &[u8], [u8; 6]); 5] = [
         (
             &[0x0B; 20],
             b"Hi There",
@@ -280,10 +324,82 @@ fn hmac_sha256_rfc4231() {
             [0x77, 0x3E, 0xA9, 0x1E, 0x36, 0x80],
         ),
         (&count_up, &[0xCD; 50], [0x82, 0x55, 0x8A, 0x38, 0x9A, 0x44]),
+        (
+            &[0x0C; 20],
+            b"Test With Truncation",
+            [0xA3, 0xB6, 0x16, 0x74, 0x73, 0x10],
+        ),
     ];
     for (key, message, expected) in cases {
         let mut padded = [0; 32];
         padded[..key.len()].copy_from_slice(key);
         assert_eq!(<Hmac>::new(&padded).tag(message), expected);
     }
+}
+
+/// Four threads receive the same frames; none is accepted by two of them.
+#[test]
+fn two_frames_with_one_stamp_cannot_both_pass() {
+    let state = fresh();
+    let frames: Vec<Frame> = (0..200).map(|i| signed(&[1], NOW + i)).collect();
+    let accepted: Vec<AtomicUsize> = frames.iter().map(|_| AtomicUsize::new(0)).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..4 {
+            scope.spawn(|| {
+                for (frame, accepted) in frames.iter().zip(&accepted) {
+                    let verdict = receive(frame.as_bytes(), NOW + 200, &state);
+                    accepted.fetch_add(verdict.is_ok().into(), Ordering::Relaxed);
+                }
+            });
+        }
+    });
+    let accepted: Vec<usize> = accepted.into_iter().map(AtomicUsize::into_inner).collect();
+    assert!(accepted.iter().all(|times| *times <= 1), "{accepted:?}");
+    assert_eq!(accepted.last(), Some(&1), "nothing is newer than the last");
+}
+
+#[test]
+fn errors_say_what_is_wrong() {
+    let id = MessageId::from(7);
+    let said = [
+        KeyError::WrongLength(31).to_string(),
+        KeyError::AllZero.to_string(),
+        SignError::PayloadTooLong(256).to_string(),
+        SignError::UnknownMessage(id).to_string(),
+        SignError::BadChecksum.to_string(),
+        SignError::AlreadySigned.to_string(),
+        SignError::ClockExhausted.to_string(),
+        VerifyError::Parse(ParseError::Truncated).to_string(),
+        VerifyError::Parse(ParseError::BadMagic(0xFE)).to_string(),
+        VerifyError::Parse(ParseError::UnknownIncompatFlags(3)).to_string(),
+        VerifyError::NotSigned.to_string(),
+        VerifyError::UnknownMessage(id).to_string(),
+        VerifyError::BadChecksum.to_string(),
+        VerifyError::BadTag.to_string(),
+        VerifyError::WrongLink(9).to_string(),
+        VerifyError::FromFuture.to_string(),
+        VerifyError::TooOld.to_string(),
+        VerifyError::Replayed.to_string(),
+    ];
+    assert_eq!(
+        said.join("\n"),
+        "a key has 32 bytes, this one has 31\n\
+         a key of zeros only is no key\n\
+         a payload has at most 255 bytes, this one has 256\n\
+         message 7 is not in the dialect\n\
+         the frame to sign is damaged: bad checksum\n\
+         the frame is already signed\n\
+         all timestamps of 6 bytes are used up\n\
+         the frame is cut short\n\
+         a MAVLink 2 frame begins with 0xFD, not 0xFE\n\
+         unknown incompatibility flags 0x03\n\
+         the frame is not signed\n\
+         message 7 is not in the dialect\n\
+         bad checksum\n\
+         bad tag: another key or a forgery\n\
+         made for link 9\n\
+         stamped in the future\n\
+         stamped too long ago\n\
+         not newer than the last accepted frame"
+    );
 }
