@@ -287,7 +287,7 @@ mod harness {
             );
         }
         if mavlink1 || !signed {
-            let refusal = Verifier::new(Resumed::any(), Forward::Whole)
+            let refusal = Verifier::new(Resumed::any().replay(), Forward::Whole)
                 .verify(packet, &key, now)
                 .err();
             let expected = if mavlink1 {

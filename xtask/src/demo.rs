@@ -27,7 +27,7 @@ use wire::Frame;
 const LINK_OUT: u8 = 1;
 const LINK_IN: u8 = 2;
 /// How far the peer's clock is behind this machine's, so that it is never ahead of the firmware's.
-const BEHIND: Duration = Duration::from_millis(50);
+const BEHIND: Duration = Duration::from_millis(500);
 const TICKS_PER_SECOND: u64 = 100_000;
 /// How long the firmware may say nothing while something is expected of it.
 const PATIENCE: Duration = Duration::from_secs(6);
@@ -87,6 +87,30 @@ struct Act {
     refusal: Option<&'static str>,
     passed: usize,
     refused: usize,
+}
+
+/// A way through the firmware, by the name that it has in the log.
+#[derive(Clone, Copy, Debug)]
+enum Direction {
+    PlainToSecure,
+    SecureToPlain,
+}
+
+impl Direction {
+    /// How the line with this direction's counters begins.
+    fn summary(self) -> &'static str {
+        match self {
+            Self::PlainToSecure => "[INFO ] signed: ",
+            Self::SecureToPlain => "[INFO ] verified: ",
+        }
+    }
+
+    /// The reason in a line about refusals in this direction, and how often it was given in a row.
+    fn refusals(self, line: &str) -> Option<(String, usize)> {
+        let said = line.strip_prefix(&format!("[INFO ] {self:?} refused: "))?;
+        let (reason, times) = said.strip_suffix(" times")?.rsplit_once(", ")?;
+        Some((reason.to_owned(), times.parse().ok()?))
+    }
 }
 
 /// The firmware and what it has been seen to do.
@@ -171,6 +195,11 @@ impl Demo {
                 self.failures
                     .push(format!("frame {at} is not the telemetry's, signed"));
             }
+            let off = ticks_now().abs_diff(ticks);
+            if off > 10 * TICKS_PER_SECOND {
+                self.failures
+                    .push(format!("frame {at} is stamped {off} ticks off"));
+            }
             if ticks <= last {
                 self.failures
                     .push(format!("the stamp of frame {at} is not newer"));
@@ -178,7 +207,7 @@ impl Demo {
             last = ticks;
         }
         self.failures.extend(came.failure);
-        self.plain_to_secure = self.judge(acts, "PlainToSecure", came.frames.len());
+        self.plain_to_secure = self.judge(acts, Direction::PlainToSecure, came.frames.len());
         Ok(came.frames)
     }
 
@@ -258,32 +287,44 @@ impl Demo {
             }
         }
         self.failures.extend(came.failure);
-        self.secure_to_plain = self.judge(acts, "SecureToPlain", came.frames.len());
+        self.secure_to_plain = self.judge(acts, Direction::SecureToPlain, came.frames.len());
         Ok(())
     }
 
-    /// Compares the firmware's log with what had to be refused, in order.
-    fn judge(&mut self, acts: Acts, direction: &str, passed: usize) -> Vec<Act> {
+    /// Compares the firmware's log with what had to be refused, in order, and with its counters.
+    fn judge(&mut self, acts: Acts, direction: Direction, passed: usize) -> Vec<Act> {
         let mut acts = acts.acts;
-        let prefix = format!("[INFO ] {direction} refused: ");
         let expected: Vec<&str> = acts
             .iter()
             .flat_map(|act| act.refusal.map(|refusal| vec![refusal; act.frames]))
             .flatten()
             .collect();
+        let counted = format!(
+            "{}{passed}, refused: {}, ",
+            direction.summary(),
+            expected.len()
+        );
         let mut said = Vec::new();
-        // The summary that follows a second of silence says that nothing more comes.
-        while let Ok(line) = self.log.recv_timeout(PATIENCE) {
-            said.extend(line.strip_prefix(&prefix).map(ToOwned::to_owned));
-            let end = line.starts_with("[INFO ] verified: ");
-            self.lines.push(line);
-            if end {
+        let mut summary = String::new();
+        // The counters come after a second of silence, which may also have been this machine's.
+        while !summary.starts_with(&counted) {
+            let Ok(line) = self.log.recv_timeout(PATIENCE) else {
+                self.failures.push(format!(
+                    "{direction:?}: the firmware counted {summary:?}, not {counted:?}"
+                ));
                 break;
+            };
+            if let Some((reason, times)) = direction.refusals(&line) {
+                said.extend(vec![reason; times]);
             }
+            if line.starts_with(direction.summary()) {
+                summary.clone_from(&line);
+            }
+            self.lines.push(line);
         }
         if said != expected {
             self.failures.push(format!(
-                "{direction}: {} refusals expected, {} logged, or for other reasons",
+                "{direction:?}: {} refusals expected, {} logged, or for other reasons",
                 expected.len(),
                 said.len()
             ));
@@ -312,8 +353,9 @@ impl Demo {
             }
         }
         if passed > 0 {
-            self.failures
-                .push(format!("{direction}: {passed} frames passed that must not"));
+            self.failures.push(format!(
+                "{direction:?}: {passed} frames passed that must not"
+            ));
         }
         acts
     }
@@ -321,6 +363,13 @@ impl Demo {
     /// Prints the log and the table; fails if anything was not as it must be.
     fn finish(mut self) -> Result<()> {
         let took = self.started.elapsed();
+        for (side, port) in [("plain", &self.plain), ("secure", &self.secure)] {
+            let late: usize = port.bytes.try_iter().map(|bytes| bytes.len()).sum();
+            if late > 0 {
+                self.failures
+                    .push(format!("{late} bytes too many on the {side} side"));
+            }
+        }
         self.machine.stop()?;
         self.lines.extend(self.log.try_iter());
         println!("\nThe firmware's log:");
@@ -356,12 +405,13 @@ struct Acts {
 
 impl Acts {
     fn new(telemetry: &[Frame]) -> Self {
-        let samples = telemetry
+        let samples: Vec<Frame> = telemetry
             .iter()
             .filter(|frame| !frame[1..].iter().any(|byte| [0xFD, 0xFE].contains(byte)))
             .take(EACH)
             .cloned()
             .collect();
+        assert_eq!(samples.len(), EACH, "the telemetry is long enough");
         Self {
             acts: Vec::new(),
             frames: Vec::new(),

@@ -3,6 +3,7 @@
 mod check;
 mod demo;
 mod firmware;
+mod proofs;
 mod qemu;
 mod setup;
 mod tables;
@@ -24,6 +25,8 @@ enum Verb {
     Demo(demo::Options),
     /// Build the shipped firmware images and hold them to their budgets
     Firmware(firmware::Options),
+    /// Run the proofs with Kani and write what came out to verification.md
+    Proofs(proofs::Options),
     /// Run firmware in QEMU, print its log and exit with its status
     RunQemu(qemu::Options),
     /// Check everything that must hold
@@ -50,6 +53,7 @@ fn run(verb: Verb) -> anyhow::Result<()> {
     match verb {
         Verb::Demo(options) => demo::run(&options),
         Verb::Firmware(options) => firmware::run(&options),
+        Verb::Proofs(options) => proofs::run(&options),
         Verb::RunQemu(options) => qemu::run(&options),
         Verb::Test(options) => check::run(&options),
         Verb::Tables { check } => tables::run(check),

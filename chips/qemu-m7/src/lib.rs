@@ -5,6 +5,8 @@
 
 #![no_std]
 
+use core::sync::atomic::{AtomicBool, Ordering};
+
 mod clock;
 mod log;
 mod panic;
@@ -20,17 +22,36 @@ use defmt_semihosting as _;
 #[doc(hidden)]
 pub use defmt;
 
-pub use clock::WallClock;
+pub use clock::{Timer, WallClock};
 pub use semihosting::process::exit;
 pub use uart::{Overrun, Uart};
 
 /// The key of the demonstrations. It is public: never use it.
 pub const DEMO_KEY: [u8; 32] = *include_bytes!("../demo.key");
 
-/// UART 0 and UART 1, one for each side of the relay. To be called once.
-#[must_use]
-pub fn uarts() -> [Uart; 2] {
-    // SAFETY: the addresses are those of UART 0 and UART 1 in the board's memory map (Arm DAI 0400),
-    // CMSDK APB UARTs both; nothing else in the firmware touches them.
-    unsafe { [Uart::new(0x4000_4000), Uart::new(0x4000_5000)] }
+/// The board's peripherals.
+pub struct Board {
+    /// UART 0 and UART 1, one for each side of the relay.
+    pub uarts: [Uart; 2],
+    /// The timer that the wall clock runs on.
+    pub timer: Timer,
+}
+
+impl Board {
+    /// The board, once; `None` for everybody after the first.
+    #[must_use]
+    pub fn take() -> Option<Self> {
+        static TAKEN: AtomicBool = AtomicBool::new(false);
+        if TAKEN.swap(true, Ordering::Relaxed) {
+            return None;
+        }
+        // SAFETY: the addresses are those of UART 0, UART 1 and TIMER 0 in the board's memory map
+        // (Arm DAI 0400), CMSDK APB peripherals all; nobody else has them, now or later.
+        unsafe {
+            Some(Self {
+                uarts: [Uart::new(0x4000_4000), Uart::new(0x4000_5000)],
+                timer: Timer::new(0x4000_0000),
+            })
+        }
+    }
 }

@@ -87,7 +87,8 @@ impl Read for Uart {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Overrun> {
         let mut count = 0;
         for slot in buffer {
-            if count > 0 && !self.read_ready()? {
+            // An overrun is told by the next `read_ready`: these bytes are whole.
+            if count > 0 && !self.is(STATE_RECEIVE_FULL) {
                 break;
             }
             while !self.is(STATE_RECEIVE_FULL) {}

@@ -6,11 +6,14 @@
 
 use cortex_m_rt::entry;
 use embedded_io::{Read, ReadReady, Write};
-use mavseal_qemu_m7::{Uart, info, uarts};
+use mavseal_qemu_m7::{Board, Uart, exit, info};
 
 #[entry]
 fn main() -> ! {
-    let [mut plain, mut secure] = uarts();
+    let Some(board) = Board::take() else {
+        exit(1);
+    };
+    let [mut plain, mut secure] = board.uarts;
     info!("Echo: copies, signs nothing");
     loop {
         copy(&mut plain, &mut secure);

@@ -5,7 +5,7 @@
 
 use cortex_m_rt::entry;
 use mavlink_signing::{Hmac, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp, Window};
-use mavseal_qemu_m7::{DEMO_KEY, Overrun, WallClock, exit, info, uarts, warn};
+use mavseal_qemu_m7::{Board, DEMO_KEY, Overrun, WallClock, exit, info, warn};
 use mavseal_relay::{Clock, Counters, Direction, Event, Forward, PortError, Refusal, Relay};
 
 /// The link id of the frames that this end signs.
@@ -17,7 +17,10 @@ const QUIET: u64 = TICKS_PER_SECOND;
 
 #[entry]
 fn main() -> ! {
-    let Some(mut clock) = WallClock::synced() else {
+    let Some(board) = Board::take() else {
+        exit(1);
+    };
+    let Some(mut clock) = WallClock::synced(board.timer) else {
         warn!("The relay needs a clock, and nobody tells the time");
         exit(1);
     };
@@ -30,29 +33,75 @@ fn main() -> ! {
         warn!("Both directions have the same link id");
         exit(1);
     };
-    let [mut plain, mut secure] = uarts();
+    let [mut plain, mut secure] = board.uarts;
     info!(
         "In-line signer: signs on link {}, verifies link {}",
         LINK_OUT, LINK_IN
     );
 
-    let mut report = Report { last: None };
+    let mut log = Log::default();
     loop {
-        let polled = relay.poll(&mut plain, &mut secure, &mut clock, &mut log_refusal);
+        let mut observe = |event| log.event(event);
+        let polled = relay.poll(&mut plain, &mut secure, &mut clock, &mut observe);
         if let Err(error) = &polled.plain_to_secure {
             log_port(Direction::PlainToSecure, error);
         }
         if let Err(error) = &polled.secure_to_plain {
             log_port(Direction::SecureToPlain, error);
         }
-        report.update(polled.moved(), clock.now(), &relay);
+        log.turn(polled.moved(), clock.now(), &relay);
     }
 }
 
-fn log_refusal(event: Event) {
-    if let Event::Refused(direction, refusal) = event {
-        info!("{} refused: {}", direction, refusal.as_str());
-        let _ = (direction, refusal);
+/// Logs refusals, equal ones in a row as one line, and the counters when the lines have gone quiet.
+///
+/// A line takes longer than a frame: one for each would let whoever floods one direction stall the
+/// other.
+#[derive(Default)]
+struct Log {
+    refused: Option<(Direction, Refusal, u32)>,
+    moved: Option<Timestamp>,
+}
+
+impl Log {
+    fn event(&mut self, event: Event) {
+        let Event::Refused(direction, refusal) = event else {
+            return;
+        };
+        match &mut self.refused {
+            Some((last_direction, last_refusal, times))
+                if (*last_direction, *last_refusal) == (direction, refusal) =>
+            {
+                *times = times.saturating_add(1);
+            }
+            _ => {
+                self.flush();
+                self.refused = Some((direction, refusal, 1));
+            }
+        }
+    }
+
+    fn flush(&mut self) {
+        if let Some((direction, refusal, times)) = self.refused.take() {
+            info!(
+                "{} refused: {}, {} times",
+                direction,
+                refusal.as_str(),
+                times
+            );
+            let _ = (direction, refusal, times);
+        }
+    }
+
+    fn turn(&mut self, moved: bool, now: Timestamp, relay: &Relay<Hmac>) {
+        if moved {
+            self.moved = Some(now);
+        } else if self.moved.is_some_and(|last| now.ticks_since(last) > QUIET) {
+            self.moved = None;
+            self.flush();
+            log_counters("signed", relay.plain_to_secure());
+            log_counters("verified", relay.secure_to_plain());
+        }
     }
 }
 
@@ -61,30 +110,16 @@ fn log_port(direction: Direction, error: &PortError<Overrun, Overrun>) {
     let _ = (direction, error);
 }
 
-/// Logs the counters whenever the line has gone quiet.
-struct Report {
-    last: Option<Timestamp>,
-}
-
-impl Report {
-    fn update(&mut self, moved: bool, now: Timestamp, relay: &Relay<Hmac>) {
-        if moved {
-            self.last = Some(now);
-        } else if self.last.is_some_and(|last| now.ticks_since(last) > QUIET) {
-            self.last = None;
-            log_counters("signed", relay.plain_to_secure());
-            log_counters("verified", relay.secure_to_plain());
-        }
-    }
-}
-
 fn log_counters(passed: &str, counters: &Counters) {
-    info!("{}: {}", passed, counters.passed());
-    for (refusal, count) in counters.refusals() {
-        if count > 0 {
-            info!("refused, {}: {}", refusal.as_str(), count);
-        }
-        let _: (Refusal, u32) = (refusal, count);
-    }
-    let _ = passed;
+    let refused = counters
+        .refusals()
+        .fold(0_u32, |sum, (_, count)| sum.saturating_add(count));
+    info!(
+        "{}: {}, refused: {}, bytes of no packet: {}",
+        passed,
+        counters.passed(),
+        refused,
+        counters.dropped()
+    );
+    let _ = (passed, refused);
 }

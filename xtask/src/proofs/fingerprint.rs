@@ -1,0 +1,229 @@
+//! What a result depends on, as a hash: when it changes, the result is stale.
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, Result, anyhow};
+use cargo_metadata::{DependencyKind, Metadata, PackageId};
+use hmac_sha256::Hash;
+use proc_macro2::{TokenStream, TokenTree};
+use serde_json::{Value, json};
+
+/// What a hash is taken over.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Depth {
+    /// What a harness runs: no comments, no tests.
+    Proof,
+    /// What a twin runs as well: no comments.
+    Tests,
+}
+
+/// The hash of everything that a result about `package` depends on: its sources and manifest, those
+/// of the workspace's packages that it uses, the versions of other packages, and what the workspace
+/// says to Kani and to the compiler.
+///
+/// # Errors
+/// If a file cannot be read or is no Rust.
+pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> Result<String> {
+    let root = metadata.workspace_root.as_std_path();
+    let mut hash = Hash::new();
+    let mut add = |name: &str, content: &[u8]| {
+        // Lengths first, so that no two lists of files look alike.
+        for part in [name.as_bytes(), content] {
+            hash.update((part.len() as u64).to_le_bytes());
+            hash.update(part);
+        }
+    };
+    add("workspace", workspace(root)?.to_string().as_bytes());
+    for id in closure(metadata, package, depth)? {
+        let package = &metadata[&id];
+        if !metadata.workspace_members.contains(&id) {
+            add(&package.name, package.version.to_string().as_bytes());
+            continue;
+        }
+        let manifest = package.manifest_path.as_std_path();
+        let folder = manifest.parent().context("a manifest lies in a folder")?;
+        add(&package.name, declared(package).to_string().as_bytes());
+        for part in ["src", "tests"] {
+            if part == "tests" && depth == Depth::Proof {
+                continue;
+            }
+            for file in rust_files(&folder.join(part))? {
+                let name = file.strip_prefix(root).unwrap_or(&file).to_string_lossy();
+                add(&name, meaning(&file, depth)?.as_bytes());
+            }
+        }
+    }
+    Ok(hex(&hash.finalize()[..8]))
+}
+
+/// The hash of `text`.
+pub(crate) fn hash_of(text: &str) -> String {
+    hex(&Hash::hash(text.as_bytes())[..8])
+}
+
+/// Every Rust file below `folder`, sorted; none if there is no such folder.
+///
+/// # Errors
+/// If a folder cannot be read.
+pub(crate) fn rust_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
+    if !folder.is_dir() {
+        return Ok(files);
+    }
+    for entry in fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let path = entry?.path();
+        if path.is_dir() {
+            files.extend(rust_files(&path)?);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            files.push(path);
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The parts of the workspace's files that change what is compiled.
+fn workspace(root: &Path) -> Result<Value> {
+    let manifest: Value = toml::from_str(&fs::read_to_string(root.join("Cargo.toml"))?)?;
+    let config = fs::read_to_string(root.join(".cargo/config.toml")).unwrap_or_default();
+    let mut config: Value = toml::from_str(&config)?;
+    if let Some(config) = config.as_object_mut() {
+        config.remove("alias");
+    }
+    Ok(json!([
+        manifest["workspace"]["metadata"],
+        manifest["profile"],
+        manifest["patch"],
+        config,
+    ]))
+}
+
+/// `package` and all that it is built from, in a fixed order.
+fn closure(metadata: &Metadata, package: &str, depth: Depth) -> Result<Vec<PackageId>> {
+    let resolve = metadata.resolve.as_ref().context("cargo metadata")?;
+    let start = metadata
+        .workspace_packages()
+        .into_iter()
+        .find(|candidate| candidate.name.as_str() == package)
+        .with_context(|| format!("no package {package}"))?;
+    let mut open = vec![&start.id];
+    let mut closure = BTreeSet::new();
+    while let Some(id) = open.pop() {
+        if !closure.insert(id.clone()) {
+            continue;
+        }
+        for dependency in &resolve[id].deps {
+            let used = dependency.dep_kinds.iter().any(|kind| match kind.kind {
+                DependencyKind::Development => id == &start.id && depth == Depth::Tests,
+                _ => true,
+            });
+            if used {
+                open.push(&dependency.pkg);
+            }
+        }
+    }
+    let mut closure: Vec<_> = closure.into_iter().collect();
+    // Ids hold the path of the workspace.
+    closure.sort_by_key(|id| (metadata[id].name.clone(), metadata[id].version.clone()));
+    Ok(closure)
+}
+
+/// What a manifest of the workspace asks for.
+fn declared(package: &cargo_metadata::Package) -> Value {
+    let dependencies: Vec<_> = package
+        .dependencies
+        .iter()
+        .filter(|dependency| dependency.kind != DependencyKind::Development)
+        .map(|d| json!([d.name, d.req, d.features, d.uses_default_features]))
+        .collect();
+    json!([dependencies, package.features, package.metadata])
+}
+
+/// A source file without what has no influence: layout, comments, and tests if they are not run.
+fn meaning(file: &Path, depth: Depth) -> Result<String> {
+    let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    let tokens: TokenStream = text
+        .parse()
+        .map_err(|error| anyhow!("{}: {error}", file.display()))?;
+    let mut meaning = String::new();
+    write(tokens, depth, &mut meaning);
+    Ok(meaning)
+}
+
+/// Appends `tokens`, with the attributes left out that are documentation or, for a proof, mark
+/// tests, and then what they mark.
+fn write(tokens: TokenStream, depth: Depth, out: &mut String) {
+    let mut tokens = tokens.into_iter().peekable();
+    while let Some(token) = tokens.next() {
+        if token.to_string() == "#" {
+            let inner = tokens.next_if(|token| token.to_string() == "!");
+            if let Some(TokenTree::Group(group)) = tokens.peek() {
+                let text: String = group.to_string().split_whitespace().collect();
+                if text.starts_with("[doc=") {
+                    tokens.next();
+                    continue;
+                }
+                if text == "[cfg(test)]" && depth == Depth::Proof && inner.is_none() {
+                    skip_item(&mut tokens);
+                    continue;
+                }
+            }
+        }
+        match token {
+            TokenTree::Group(group) => {
+                let text = format!("{:?}(", group.delimiter());
+                out.push_str(&text);
+                write(group.stream(), depth, out);
+                out.push(')');
+            }
+            other => out.push_str(&other.to_string()),
+        }
+        out.push(' ');
+    }
+}
+
+/// Skips to the end of an item: its body, or its semicolon.
+fn skip_item(tokens: &mut impl Iterator<Item = TokenTree>) {
+    for token in tokens {
+        let text = token.to_string();
+        if text == ";" || (matches!(token, TokenTree::Group(_)) && text.starts_with('{')) {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn meaning(text: &str, depth: Depth) -> String {
+        let mut out = String::new();
+        write(text.parse().expect("Rust"), depth, &mut out);
+        out
+    }
+
+    #[test]
+    fn only_what_has_influence_counts() {
+        let text = "//! Doc.\nfn a() { b(1) }\n#[cfg(test)]\nmod t { fn c() {} }\nfn d() {}";
+        let same = "/// Other.\nfn a() {\n  // why\n  b(1)\n}\nfn d() {}";
+        let proof = |text| meaning(text, Depth::Proof);
+        assert_eq!(proof(text), proof(same));
+        assert_ne!(meaning(text, Depth::Tests), meaning(same, Depth::Tests));
+        for other in [
+            "fn a() { b(2) } fn d() {}",
+            "fn a() { b[1] } fn d() {}",
+            "fn a() { b(1) } #[inline] fn d() {}",
+            "fn a() { b(1) }",
+        ] {
+            assert_ne!(proof(text), proof(other), "{other}");
+        }
+    }
+}
