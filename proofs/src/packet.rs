@@ -123,11 +123,11 @@ mod twins {
 #[cfg(kani)]
 mod harness {
     use super::*;
-    use crate::model::{any_checksum, any_prefix, set_checksum};
+    use crate::model::{any_prefix, set_checksum};
 
     #[kani::proof]
     #[kani::unwind(9)]
-    #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn w3_front() {
         set_checksum(kani::any());
         let buffer: [u8; MAX_FRAME_SIZE] = kani::any();

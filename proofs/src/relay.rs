@@ -191,7 +191,7 @@ mod twins {
 #[cfg(kani)]
 mod harness {
     use super::*;
-    use crate::model::{AnyTag, any_checksum, any_prefix, set_checksum};
+    use crate::model::{AnyTag, any_prefix, set_checksum};
     use crate::replay::any_timestamp;
     use mavlink_signing::field::{MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
 
@@ -201,17 +201,18 @@ mod harness {
         SigningKey::new(&secret).expect("not zero")
     }
 
-    /// Any bytes of a frame with these flags and this length, and more behind it.
-    fn any_frame(flags: u8, payload_length: u8) -> [u8; MAX_FRAME_SIZE] {
-        let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();
-        [bytes[0], bytes[1], bytes[2]] = [MAGIC, payload_length, flags];
+    /// Any frame of `SIZE` bytes with these flags: an array of that size, so that the solver knows
+    /// how long it is.
+    fn any_frame<const SIZE: usize>(flags: u8, payload_length: usize) -> [u8; SIZE] {
+        let mut bytes: [u8; SIZE] = kani::any();
+        [bytes[0], bytes[1], bytes[2]] = [MAGIC, payload_length as u8, flags];
         bytes
     }
 
-    fn leaves<const LENGTH: usize>() {
+    fn leaves<const SIZE: usize>() {
         set_checksum(kani::any());
-        let bytes = any_frame(1, LENGTH as u8);
-        let Ok(packet) = Packet::parse(&bytes[..LENGTH + 25], |_| Some(0)) else {
+        let bytes: [u8; SIZE] = any_frame(1, SIZE - 25);
+        let Ok(packet) = Packet::parse(&bytes, |_| Some(0)) else {
             return;
         };
         let whole = kani::any();
@@ -225,18 +226,13 @@ mod harness {
         kani::cover!(left.is_ok() && whole, "whole");
         kani::cover!(left.is_ok() && !whole, "stripped");
         kani::cover!(left == Err(Refusal::Replayed), "replayed");
+        kani::cover!(left == Err(Refusal::SetupSigning), "SETUP_SIGNING");
     }
 
-    crate::for_payload_lengths! { leaves:
-        l1_only_verified_leaves_0 0,
-        l1_only_verified_leaves_9 9,
-        l1_only_verified_leaves_255 255,
-    }
-
-    fn signs<const LENGTH: usize>() {
+    fn signs<const SIZE: usize>() {
         set_checksum(kani::any());
-        let bytes = any_frame(0, LENGTH as u8);
-        let Ok(packet) = Packet::parse(&bytes[..LENGTH + 12], |_| Some(0)) else {
+        let bytes: [u8; SIZE] = any_frame(0, SIZE - 12);
+        let Ok(packet) = Packet::parse(&bytes, |_| Some(0)) else {
             return;
         };
         let stamper = Stamper::resume(kani::any(), any_timestamp());
@@ -244,18 +240,24 @@ mod harness {
         let signing = only_unsigned_is_signed(packet, &any_key(), stamper, now, index);
         kani::cover!(signing.is_ok(), "signed");
         kani::cover!(signing == Err(Refusal::UnknownMessage), "unknown");
+        kani::cover!(signing == Err(Refusal::SetupSigning), "SETUP_SIGNING");
+    }
+
+    // The harness's number is the payload's length, the literal the frame's.
+    crate::for_payload_lengths! { leaves:
+        l1_only_verified_leaves_0 25 unwind 33,
+        l1_only_verified_leaves_9 34 unwind 36,
     }
 
     crate::for_payload_lengths! { signs:
-        l1_only_unsigned_is_signed_0 0,
-        l1_only_unsigned_is_signed_9 9,
-        l1_only_unsigned_is_signed_255 255,
+        l1_only_unsigned_is_signed_0 12 unwind 33,
+        l1_only_unsigned_is_signed_9 21 unwind 33,
     }
 
     /// What neither side lets through, of every length.
     #[kani::proof]
     #[kani::unwind(33)]
-    #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn l1_the_wrong_kind_is_refused() {
         set_checksum(kani::any());
         let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();

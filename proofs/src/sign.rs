@@ -208,11 +208,11 @@ mod harness {
     }
 
     crate::for_payload_lengths! { signs:
-        s1_signs_in_place_0 0,
-        s1_signs_in_place_1 1,
-        s1_signs_in_place_9 9,
-        s1_signs_in_place_30 30,
-        s1_signs_in_place_255 255,
+        s1_signs_in_place_0 0 unwind 33,
+        s1_signs_in_place_1 1 unwind 33,
+        s1_signs_in_place_9 9 unwind 36,
+        s1_signs_in_place_30 30 unwind 57,
+        s1_signs_in_place_255 255 unwind 282,
     }
 
     fn verifies<const LENGTH: usize>() {
@@ -227,9 +227,8 @@ mod harness {
     }
 
     crate::for_payload_lengths! { verifies:
-        v3_signed_verifies_0 0,
-        v3_signed_verifies_9 9,
-        v3_signed_verifies_30 30,
-        v3_signed_verifies_255 255,
+        v3_signed_verifies_0 0 unwind 33,
+        v3_signed_verifies_9 9 unwind 36,
+        v3_signed_verifies_30 30 unwind 57,
     }
 }

@@ -99,6 +99,7 @@ fn specified(
 mod twins {
     use super::*;
     use crate::HEARTBEAT;
+    use crate::model::Witness;
     use mavlink_signing::crc::checksum;
     use mavlink_signing::{Frame, Hmac, Stamp, Window, sign_frame};
     use proptest::prelude::*;
@@ -143,6 +144,34 @@ mod twins {
             }
             let first = Timestamp::from_ticks(first).expect("48 bits");
             check(&bytes, Resumed { link_id: 1, window: Window { past, ahead }, first }, now);
+        }
+    }
+
+    /// S2, the receiver's half: every byte under the tag is witnessed, and none of the tag.
+    #[test]
+    fn s2_received() {
+        let window = Window { past: 0, ahead: 0 };
+        for length in [0, 1, 9, 37, 255] {
+            for index in 0..length + 25 {
+                let key = SigningKey::<Witness>::new(&Witness::key(index)).expect("a key");
+                let mut frame = Frame::new(HEARTBEAT, &vec![0x5A; length.into()]).expect("a frame");
+                let stamp = Stamp {
+                    link_id: 1,
+                    timestamp: Timestamp::from_ticks(0x0102_0304_0506).expect("48 bits"),
+                };
+                sign_frame(&mut frame, &key, stamp).expect("signed");
+                let before = Resumed {
+                    link_id: 1,
+                    window,
+                    first: Timestamp::ZERO,
+                };
+                // The sender has asked for a tag once already: a receiver has a key of its own.
+                let key = SigningKey::<Witness>::new(&Witness::key(index)).expect("a key");
+                let tag = |covered: &[u8]| Witness::first_tag(index, covered);
+                let now = stamp.timestamp;
+                let verdict = accepted_iff(frame.as_bytes(), &key, before, now, checksum, tag);
+                assert_eq!(verdict, Ok(now));
+            }
         }
     }
 

@@ -81,8 +81,8 @@ impl Found {
         for file in rust_files(&source)? {
             let text = fs::read_to_string(&file)?;
             if !scan.seen.contains(&file) && text.contains("kani::proof") {
-                let orphan = file.display();
-                let fault = format!("{orphan} has a harness, but belongs to no module");
+                let orphan = file.strip_prefix(folder).unwrap_or(&file).display();
+                let fault = format!("{package}: {orphan} has a harness, but is no module");
                 scan.found.faults.push(fault);
             }
         }
