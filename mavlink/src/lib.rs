@@ -11,6 +11,10 @@
     )
 )]
 
+// `cargo kani` builds every crate of the workspace, and finds it in those with `no_std` only so.
+#[cfg(kani)]
+extern crate kani;
+
 pub mod crc;
 mod decoder;
 pub mod dialect;

@@ -35,6 +35,10 @@
     )
 )]
 
+// `cargo kani` builds every crate of the workspace, and finds it in those with `no_std` only so.
+#[cfg(kani)]
+extern crate kani;
+
 mod direction;
 mod event;
 mod pump;
