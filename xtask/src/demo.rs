@@ -70,7 +70,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut demo = Demo::boot(&elf)?;
 
     println!(
-        "Plain side: {} frames of recorded telemetry",
+        "Plain side: {} frames of recorded telemetry, and what must not be signed",
         telemetry.len()
     );
     let signed = demo.sign(&telemetry)?;
@@ -374,10 +374,16 @@ impl Demo {
         self.lines.extend(self.log.try_iter());
         println!("\nThe firmware's log:");
         print_log(&self.lines);
-        println!("\n{}", table("signed", &self.plain_to_secure));
-        println!("{}", table("verified", &self.secure_to_plain));
         println!(
-            "plain side:  {} bytes in, {} bytes out\nsecure side: {} bytes in, {} bytes out\ntime: {:.1} s",
+            "\nInto the plain side:\n{}",
+            table("signed", &self.plain_to_secure)
+        );
+        println!(
+            "\nInto the secure side:\n{}",
+            table("verified", &self.secure_to_plain)
+        );
+        println!(
+            "\nplain side:  {} bytes in, {} bytes out\nsecure side: {} bytes in, {} bytes out\ntime: {:.1} s",
             self.plain.sent,
             self.plain.received,
             self.secure.sent,
