@@ -190,7 +190,11 @@ impl Run {
 
     /// Every harness that is asked for; all of them, if no option chooses.
     fn all(&self, options: &Options) -> Result<()> {
-        ensure!(self.kani.is_some(), not_installed(&self.project.plan.kani));
+        ensure!(
+            self.kani.is_some(),
+            "the proofs were not run: {}",
+            not_installed(&self.project.plan.kani)
+        );
         let start = Instant::now();
         let full = !options.fast && options.only.is_empty();
         let harnesses = self.project.found.harnesses.iter();
@@ -349,7 +353,7 @@ fn complete(faults: &[String]) -> Result<()> {
 
 fn not_installed(version: &str) -> String {
     format!(
-        "the proofs were not run: cargo kani is not installed \
+        "cargo kani is not installed \
          (cargo install --locked kani-verifier@{version} && cargo kani setup)"
     )
 }
