@@ -2,7 +2,6 @@
 
 use std::{
     fs,
-    path::{Path, PathBuf},
     process::{Command, Stdio},
     time::Instant,
 };
@@ -11,7 +10,10 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use xshell::{Shell, cmd};
 
-use crate::{firmware, proofs, setup};
+use crate::{
+    firmware, proofs,
+    setup::{self, root},
+};
 
 /// Targets that the cores alone are built for: a Cortex-M7, and the smaller Cortex-M0+.
 const CORE_TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
@@ -99,11 +101,6 @@ impl Checks {
         }
         bail!("failed: {}", self.failed.join(", "))
     }
-}
-
-/// The project's folder.
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
 /// A shell in `folder` of the project.

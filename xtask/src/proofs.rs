@@ -13,7 +13,7 @@ mod workshop;
 
 use std::{
     collections::BTreeSet,
-    path::{Path, PathBuf},
+    path::PathBuf,
     sync::{Mutex, PoisonError},
     thread,
     time::{Duration, Instant},
@@ -22,6 +22,7 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 
+use crate::setup::root;
 use census::Project;
 use process::Limits;
 use results::{FullRun, Proof, Results, cores, today};
@@ -356,11 +357,6 @@ fn not_installed(version: &str) -> String {
         "cargo kani is not installed \
          (cargo install --locked kani-verifier@{version} && cargo kani setup)"
     )
-}
-
-/// The project's folder.
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {

@@ -19,6 +19,11 @@ use xshell::{Shell, cmd};
 /// The machine all firmware for QEMU is built for: MPS2 with the AN500 image, a Cortex-M7.
 pub(crate) const MACHINE: &str = "mps2-an500";
 
+/// The project's folder.
+pub(crate) fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
 /// Finds `qemu-system-arm`, or installs it, and checks that it can be [`MACHINE`].
 ///
 /// # Errors
