@@ -312,6 +312,45 @@ impl Decoder {
     }
 }
 
+#[cfg(kani)]
+impl Decoder {
+    /// For proofs: any bytes in the buffer, `done` and `lent` of them done with and lent out; nothing
+    /// dropped so far.
+    #[must_use]
+    pub fn any(
+        resync: Resync,
+        idle: bool,
+        [done, lent]: [usize; 2],
+        crc_extra: fn(MessageId) -> Option<u8>,
+    ) -> Self {
+        let mut buffer = Vec::from_array(kani::any::<[u8; MAX_FRAME_SIZE]>());
+        buffer.truncate(kani::any());
+        let decoder = Self {
+            buffer,
+            done,
+            lent,
+            idle,
+            dropped: 0,
+            resync,
+            crc_extra,
+        };
+        kani::assume(decoder.is_valid());
+        decoder
+    }
+
+    /// For proofs: what is done with and what is lent out lie in the buffer.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        self.done <= self.buffer.len() && self.lent <= self.buffer.len() - self.done
+    }
+
+    /// For proofs: [`noise`].
+    #[must_use]
+    pub fn noise(pending: &[u8]) -> usize {
+        noise(pending)
+    }
+}
+
 impl Resync {
     /// How many bytes of `pending` to give up, which begin like a packet and are none; more than
     /// there are if its end has not come yet.

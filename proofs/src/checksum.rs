@@ -1,6 +1,6 @@
 //! C1: the checksum is CRC-16/MCRF4XX.
 
-use mavlink_signing::crc::step;
+use mavlink_signing::crc::{INITIAL, checksum, step};
 
 /// C1: one step equals the bitwise definition: polynomial 0x1021 reflected, lowest bit first.
 ///
@@ -19,10 +19,23 @@ pub fn step_is_bitwise(crc: u16, byte: u8) {
     assert_eq!(step(crc, byte), expected);
 }
 
+/// C1: the checksum is what the steps make of `covered` in order and then of `crc_extra`.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn whole_is_the_fold(covered: &[u8], crc_extra: u8) {
+    let mut expected = INITIAL;
+    for byte in covered {
+        expected = step(expected, *byte);
+    }
+    assert_eq!(checksum(covered, crc_extra), step(expected, crc_extra));
+}
+
 #[cfg(test)]
 mod twins {
     use super::*;
-    use mavlink_signing::crc::checksum;
+    use proptest::prelude::*;
 
     #[test]
     fn c1_every_crc_and_byte() {
@@ -38,6 +51,13 @@ mod twins {
     fn c1_check_value() {
         assert_eq!(checksum(b"12345678", b'9'), 0x6F91);
     }
+
+    proptest! {
+        #[test]
+        fn c1_whole(covered in proptest::collection::vec(any::<u8>(), 0..=264), crc_extra: u8) {
+            whole_is_the_fold(&covered, crc_extra);
+        }
+    }
 }
 
 #[cfg(kani)]
@@ -50,5 +70,29 @@ mod harness {
         let (crc, byte) = (kani::any(), kani::any());
         kani::cover!(step(crc, byte) == 0x6F91, "the check value");
         step_is_bitwise(crc, byte);
+    }
+
+    fn whole<const LENGTH: usize>() {
+        let covered: [u8; LENGTH] = kani::any();
+        whole_is_the_fold(&covered, kani::any());
+        kani::cover!(true, "it ends");
+    }
+
+    #[kani::proof]
+    #[kani::unwind(1)]
+    fn c1_whole_0() {
+        whole::<0>();
+    }
+
+    #[kani::proof]
+    #[kani::unwind(10)]
+    fn c1_whole_9() {
+        whole::<9>();
+    }
+
+    #[kani::proof]
+    #[kani::unwind(40)]
+    fn c1_whole_39() {
+        whole::<39>();
     }
 }

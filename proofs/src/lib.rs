@@ -6,15 +6,18 @@
 
 pub mod checksum;
 pub mod emit;
+pub mod history;
 pub mod hmac;
 pub mod model;
 pub mod packet;
 pub mod parse;
+pub mod pipes;
 pub mod relay;
 pub mod replay;
 pub mod sign;
 pub mod stamp;
 pub mod table;
+pub mod tamper;
 pub mod unforgeable;
 pub mod verify;
 

@@ -1,7 +1,7 @@
 //! W3: the decoder, one step and whole streams.
 
 use mavlink_signing::field::MAX_FRAME_SIZE;
-use mavlink_signing::{DecodeError, MessageId, Packet, ParseError};
+use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, ParseError, Resync, dialect};
 
 /// W3, one step: whatever stands at the front of the decoder's buffer is a packet that lies in it,
 /// a fault, or too short; it is never too short when the buffer is full, so the decoder always goes
@@ -42,11 +42,99 @@ pub fn front(
     }
 }
 
+/// W3, in: whatever the decoder holds, it takes a byte if it said that it has room.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn takes(decoder: &mut Decoder, byte: u8) {
+    let room = decoder.room();
+    let taken = decoder.write(&[byte]);
+    assert_eq!(taken, usize::from(room > 0));
+    assert_eq!(decoder.room(), room - taken);
+}
+
+/// W3, out: whatever the decoder holds, what it completes parses; every byte is then kept, in the
+/// packet, or counted as dropped; and when nothing comes out there is room for the next byte. Returns
+/// what came out, and its length.
+///
+/// # Errors
+///
+/// What [`Decoder::read`] says.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn gives(
+    decoder: &mut Decoder,
+    crc_extra: impl FnOnce(MessageId) -> Option<u8>,
+) -> Option<Result<usize, DecodeError>> {
+    let (room, dropped) = (decoder.room(), decoder.dropped());
+    let found = decoder.read().map(|found| {
+        found.map(|packet| {
+            let bytes = packet.as_bytes();
+            assert_eq!(front(bytes, crc_extra), Ok(bytes.len()));
+            bytes.len()
+        })
+    });
+    let passed = if let Some(Ok(length)) = found {
+        length
+    } else {
+        0
+    };
+    let dropped = (decoder.dropped() - dropped) as usize;
+    assert_eq!(decoder.room(), room + passed + dropped);
+    assert!(found.is_some() || decoder.room() > 0);
+    found
+}
+
+/// W3, a whole stream: however it is cut, the same packets and faults come out, and every byte is in a
+/// packet or counted as dropped. `cuts` are the lengths of the pieces, repeated; the line is silent at
+/// the end.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn cut_does_not_matter(resync: Resync, stream: &[u8], cuts: &[usize]) {
+    assert_eq!(decode(resync, stream, cuts), decode(resync, stream, &[]));
+}
+
+/// What is found in `stream`: packets as bytes, and faults.
+fn decode(resync: Resync, stream: &[u8], cuts: &[usize]) -> Vec<Result<Vec<u8>, DecodeError>> {
+    let mut decoder = Decoder::new(resync, dialect::crc_extra);
+    let mut found = Vec::new();
+    let mut rest = stream;
+    let mut cuts = cuts.iter().cycle();
+    while !rest.is_empty() {
+        assert!(decoder.room() > 0, "the decoder is stuck");
+        let piece = cuts
+            .next()
+            .map_or(rest.len(), |cut| rest.len().min(*cut).max(1));
+        rest = &rest[decoder.write(&rest[..piece])..];
+        read_all(&mut decoder, &mut found);
+    }
+    decoder.idle();
+    read_all(&mut decoder, &mut found);
+    let in_packets: usize = found.iter().flatten().map(Vec::len).sum();
+    assert_eq!(in_packets + decoder.dropped() as usize, stream.len());
+    found
+}
+
+fn read_all(decoder: &mut Decoder, found: &mut Vec<Result<Vec<u8>, DecodeError>>) {
+    while let Some(decoded) = decoder.read() {
+        found.push(decoded.map(|packet| {
+            let bytes = packet.as_bytes();
+            assert_eq!(front(bytes, dialect::crc_extra), Ok(bytes.len()));
+            bytes.to_vec()
+        }));
+    }
+}
+
 #[cfg(test)]
 mod twins {
     use super::*;
+    use mavlink_signing::Frame;
     use mavlink_signing::dialect::crc_extra;
-    use mavlink_signing::{Decoder, Frame, Resync};
     use proptest::prelude::*;
 
     /// Streams of frames, damaged ones, magic bytes and noise.
@@ -67,47 +155,31 @@ mod twins {
             .prop_map(|parts| parts.concat())
     }
 
-    /// What is found in `stream`, given to the decoder in pieces whose lengths repeat `cuts`; at
-    /// the end the line is silent.
-    fn decode(stream: &[u8], cuts: &[usize]) -> (Vec<Vec<u8>>, usize) {
-        let mut decoder = Decoder::new(Resync::NextByte, crc_extra);
-        let mut cuts = cuts.iter().copied().cycle();
-        let mut rest = stream;
-        let mut packets = Vec::new();
-        let mut faults = 0;
-        loop {
-            while let Some(decoded) = decoder.read() {
-                match decoded {
-                    Ok(packet) => packets.push(packet.as_bytes().to_vec()),
-                    Err(_) => faults += 1,
-                }
-            }
-            if rest.is_empty() {
-                break;
-            }
-            assert!(decoder.room() > 0, "the decoder is stuck");
-            let piece = &rest[..rest.len().min(cuts.next().expect("a cycle"))];
-            rest = &rest[decoder.write(piece)..];
-        }
-        decoder.idle();
-        while let Some(decoded) = decoder.read() {
-            match decoded {
-                Ok(packet) => packets.push(packet.as_bytes().to_vec()),
-                Err(_) => faults += 1,
-            }
-        }
-        let in_packets: usize = packets.iter().map(Vec::len).sum();
-        assert_eq!(in_packets + decoder.dropped() as usize, stream.len());
-        (packets, faults)
-    }
-
     proptest! {
         #[test]
         fn w3_cut_does_not_matter(
             stream in stream(),
             cuts in proptest::collection::vec(1..400_usize, 1..6),
         ) {
-            prop_assert_eq!(decode(&stream, &cuts), decode(&stream, &[usize::MAX]));
+            for resync in [Resync::NextByte, Resync::AnnouncedEnd] {
+                cut_does_not_matter(resync, &stream, &cuts);
+            }
+        }
+
+        #[test]
+        fn w3_byte_by_byte(stream in stream(), next_byte: bool, silences: u8) {
+            let resync = if next_byte { Resync::NextByte } else { Resync::AnnouncedEnd };
+            let mut decoder = Decoder::new(resync, crc_extra);
+            for (at, byte) in stream.into_iter().enumerate() {
+                if at % (usize::from(silences) + 1) == 0 {
+                    decoder.idle();
+                }
+                while decoder.room() == 0 {
+                    assert!(gives(&mut decoder, crc_extra).is_some());
+                }
+                takes(&mut decoder, byte);
+                let _ = gives(&mut decoder, crc_extra);
+            }
         }
 
         #[test]
@@ -124,6 +196,8 @@ mod twins {
 mod harness {
     use super::*;
     use crate::model::{any_prefix, set_checksum};
+    use core::sync::atomic::{AtomicU16, Ordering::Relaxed};
+    use mavlink_signing::field::{MAGIC, MAGIC_V1};
 
     #[kani::proof]
     #[kani::unwind(9)]
@@ -152,5 +226,77 @@ mod harness {
             matches!(found, Err(DecodeError::UnknownMessage(_))),
             "an unknown message"
         );
+    }
+
+    static EXTRA: AtomicU16 = AtomicU16::new(0);
+
+    /// A table that knows every message, or none.
+    fn any_extra(_id: MessageId) -> Option<u8> {
+        u8::try_from(EXTRA.load(Relaxed)).ok()
+    }
+
+    /// Stands for the decoder's search for the next magic byte: any place that its own harness,
+    /// [`w3_noise`], allows.
+    #[expect(dead_code, reason = "named in an attribute alone")]
+    fn any_noise(pending: &[u8]) -> usize {
+        let skipped = kani::any();
+        kani::assume(skipped <= pending.len());
+        kani::assume(skipped > 0 || pending.is_empty() || is_magic(pending[0]));
+        kani::assume(skipped == pending.len() || is_magic(pending[skipped]));
+        skipped
+    }
+
+    const fn is_magic(byte: u8) -> bool {
+        matches!(byte, MAGIC | MAGIC_V1)
+    }
+
+    #[kani::proof]
+    #[kani::unwind(42)]
+    fn w3_noise() {
+        const LENGTH: usize = 40;
+        let pending: [u8; LENGTH] = kani::any();
+        let pending = any_prefix(&pending);
+        let skipped = Decoder::noise(pending);
+        let index: usize = kani::any();
+        if index < skipped {
+            assert!(!is_magic(pending[index]));
+        }
+        assert!(skipped <= pending.len());
+        assert!(skipped == pending.len() || is_magic(pending[skipped]));
+        kani::cover!(skipped == LENGTH, "nothing but noise");
+        kani::cover!(skipped == LENGTH - 1, "the last byte");
+    }
+
+    #[kani::proof]
+    #[kani::unwind(4)]
+    fn w3_takes() {
+        let mut decoder = Decoder::any(Resync::NextByte, kani::any(), kani::any(), any_extra);
+        let room = decoder.room();
+        takes(&mut decoder, kani::any());
+        assert!(decoder.is_valid());
+        kani::cover!(room == 0, "full");
+        kani::cover!(room == MAX_FRAME_SIZE, "empty");
+    }
+
+    /// What is done with lies before what is looked at, and is left out. With [`Resync::NextByte`] so
+    /// is a silence: the decoder may then try every byte.
+    #[kani::proof]
+    #[kani::unwind(4)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+    #[kani::stub(mavlink_signing::decoder::noise, any_noise)]
+    fn w3_gives() {
+        set_checksum(kani::any());
+        EXTRA.store(kani::any(), Relaxed);
+        let resync = if kani::any() {
+            Resync::NextByte
+        } else {
+            Resync::AnnouncedEnd
+        };
+        let idle = resync == Resync::AnnouncedEnd && kani::any();
+        let mut decoder = Decoder::any(resync, idle, [0, 0], any_extra);
+        let found = gives(&mut decoder, any_extra);
+        assert!(decoder.is_valid());
+        kani::cover!(found == Some(Ok(MAX_FRAME_SIZE)), "the longest frame");
+        kani::cover!(found.is_none(), "more is needed");
     }
 }

@@ -59,6 +59,34 @@ pub fn signs_in_place<P: Profile>(
     assert_eq!((bytes.len(), bytes.get(index).copied()), kept);
 }
 
+/// S2: what a signed frame says, its header, stamp and payload, is a matter of its transcript, the
+/// bytes before its tag, alone: with another tag in place of its own, `bytes` say the same. So two
+/// frames with equal transcripts say the same. `index` is the byte of the payload that is compared.
+///
+/// Returns the frame's length; `None` if `bytes` do not begin with a signed frame.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn transcript_says_all(bytes: &mut [u8], other: Tag, index: usize) -> Option<usize> {
+    let (length, said) = what_is_said(bytes, index)?;
+    for i in 0..TAG_SIZE {
+        bytes[length - TAG_SIZE + i] = other[i];
+    }
+    assert_eq!(what_is_said(bytes, index), Some((length, said)));
+    Some(length)
+}
+
+/// A signed frame's length, and its header, stamp, length of the payload and byte of it.
+#[expect(clippy::type_complexity, reason = "compared once, as a whole")]
+fn what_is_said(bytes: &[u8], index: usize) -> Option<(usize, (Header, Stamp, u8, Option<u8>))> {
+    let frame = FrameRef::parse(bytes).ok()?;
+    let stamp = frame.signature()?.stamp;
+    let bytes = frame.as_bytes();
+    let byte = (index < bytes[1].into()).then(|| bytes[HEADER_SIZE + index]);
+    Some((bytes.len(), (frame.header(), stamp, bytes[1], byte)))
+}
+
 /// V3: what is signed verifies, with the same key, at the moment of its stamp, by a receiver of its
 /// link that has accepted nothing; what comes out is what went in. `index` is the byte of the
 /// payload that is compared.
@@ -148,6 +176,20 @@ mod twins {
     }
 
     #[test]
+    fn s2_transcript() {
+        let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
+        for length in 0..=255 {
+            let mut frame = Frame::new(HEARTBEAT, &vec![0xA5; length]).expect("a frame");
+            sign_frame(&mut frame, &key, stamp(1, 0x0102_0304_0506)).expect("signed");
+            for index in 0..=length {
+                let mut bytes = frame.as_bytes().to_vec();
+                let said = transcript_says_all(&mut bytes, [0x5A; 6], index);
+                assert_eq!(said, Some(length + 25));
+            }
+        }
+    }
+
+    #[test]
     fn v3_edges() {
         edges(v3);
     }
@@ -190,6 +232,7 @@ mod harness {
     use crate::HEARTBEAT;
     use crate::model::{AnyTag, Witness, any_checksum, set_checksum};
     use crate::replay::any_stamp;
+    use mavlink_signing::field::MAX_FRAME_SIZE;
 
     fn signs<const LENGTH: usize>() {
         set_checksum(kani::any());
@@ -213,6 +256,15 @@ mod harness {
         s1_signs_in_place_9 9 unwind 36,
         s1_signs_in_place_30 30 unwind 57,
         s1_signs_in_place_255 255 unwind 282,
+    }
+
+    #[kani::proof]
+    #[kani::unwind(9)]
+    fn s2_transcript_says_all() {
+        let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();
+        let said = transcript_says_all(&mut bytes, kani::any(), kani::any());
+        kani::cover!(said == Some(MAX_FRAME_SIZE), "the longest frame");
+        kani::cover!(said == Some(25), "the shortest frame");
     }
 
     fn verifies<const LENGTH: usize>() {

@@ -39,6 +39,9 @@ pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> R
     };
     add("workspace", workspace(root)?.to_string().as_bytes());
     for id in closure(metadata, package, depth)? {
+        // The tests of what it uses are not run with it.
+        let ours = metadata[&id].name.as_str() == package;
+        let depth = if ours { depth } else { Depth::Proof };
         let package = &metadata[&id];
         if !metadata.workspace_members.contains(&id) {
             add(&package.name, package.version.to_string().as_bytes());
@@ -148,7 +151,10 @@ fn declared(package: &cargo_metadata::Package) -> Value {
 }
 
 /// A source file without what has no influence: layout, comments, and tests if they are not run.
-fn meaning(file: &Path, depth: Depth) -> Result<String> {
+///
+/// # Errors
+/// If it cannot be read or is no Rust.
+pub(crate) fn meaning(file: &Path, depth: Depth) -> Result<String> {
     let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
     let tokens: TokenStream = text
         .parse()
