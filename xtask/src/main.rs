@@ -3,6 +3,8 @@
 mod check;
 mod demo;
 mod firmware;
+mod fuzz;
+mod page;
 mod proofs;
 mod qemu;
 mod setup;
@@ -25,6 +27,8 @@ enum Verb {
     Demo(demo::Options),
     /// Build the shipped firmware images and hold them to their budgets
     Firmware(firmware::Options),
+    /// Fuzz every target over the properties, and say what that reaches
+    Fuzz(fuzz::Options),
     /// Run the proofs with Kani and write what came out to verification.md
     Proofs(proofs::Options),
     /// Run firmware in QEMU, print its log and exit with its status
@@ -53,6 +57,7 @@ fn run(verb: Verb) -> anyhow::Result<()> {
     match verb {
         Verb::Demo(options) => demo::run(&options),
         Verb::Firmware(options) => firmware::run(&options),
+        Verb::Fuzz(options) => fuzz::run(&options),
         Verb::Proofs(options) => proofs::run(&options),
         Verb::RunQemu(options) => qemu::run(&options),
         Verb::Test(options) => check::run(&options),

@@ -1,15 +1,15 @@
 //! `cargo xtask proofs`: runs the harnesses and the mutants, and says so in verification.md.
 
 mod census;
-mod fingerprint;
+pub(crate) mod fingerprint;
 mod kani;
 mod mutants;
-mod plan;
-mod process;
-mod results;
+pub(crate) mod plan;
+pub(crate) mod process;
+pub(crate) mod results;
 mod scan;
 mod table;
-mod workshop;
+pub(crate) mod workshop;
 
 use std::{
     collections::BTreeSet,

@@ -5,6 +5,7 @@
 
 mod apt;
 mod distribution;
+mod fuzz;
 
 use std::{
     env, fmt,
@@ -15,6 +16,8 @@ use std::{
 
 use anyhow::{Context, Result, bail, ensure};
 use xshell::{Shell, cmd};
+
+pub(crate) use fuzz::{CargoFuzz, cargo_fuzz};
 
 /// The machine all firmware for QEMU is built for: MPS2 with the AN500 image, a Cortex-M7.
 pub(crate) const MACHINE: &str = "mps2-an500";

@@ -3,11 +3,10 @@
 use std::{
     collections::{BTreeMap, BTreeSet},
     fmt::Write as _,
-    fs,
     path::Path,
 };
 
-use anyhow::{Context, Result, ensure};
+use anyhow::Result;
 
 use super::{
     census::Project,
@@ -16,23 +15,17 @@ use super::{
     results::{Fate, Proof, Results},
     scan::Harness,
 };
+use crate::page::{Page, row};
 
-const PAGE: &str = "verification.md";
-const BEGIN: &str = "<!-- table:begin -->\n";
-const END: &str = "<!-- table:end -->\n";
+/// The part of the page that is written here.
+const PART: &str = "table";
 
 /// Writes the tables of verification.md.
 ///
 /// # Errors
 /// If the page has no place for them.
 pub(crate) fn write(root: &Path, project: &Project, results: &Results) -> Result<()> {
-    let page = Page::load(root)?;
-    let table = render(project, results)?;
-    if table != page.table() {
-        let text = [page.before(), &table, page.after()].concat();
-        fs::write(root.join(PAGE), text).context(PAGE)?;
-    }
-    Ok(())
+    Page::load(root, PART)?.write(root, &render(project, results)?)
 }
 
 /// Whether verification.md says what the results say.
@@ -40,44 +33,8 @@ pub(crate) fn write(root: &Path, project: &Project, results: &Results) -> Result
 /// # Errors
 /// If it does not.
 pub(crate) fn check(root: &Path, project: &Project, results: &Results) -> Result<()> {
-    let page = Page::load(root)?;
-    ensure!(
-        render(project, results)? == page.table(),
-        "{PAGE} does not say what sources and results say: run the proofs again, or have it say \
-         so with `cargo xtask proofs --table`"
-    );
-    Ok(())
-}
-
-/// verification.md, and where in it the tables begin and end.
-struct Page {
-    text: String,
-    begin: usize,
-    end: usize,
-}
-
-impl Page {
-    fn load(root: &Path) -> Result<Self> {
-        let text = fs::read_to_string(root.join(PAGE)).context(PAGE)?;
-        let begin = text.find(BEGIN).map(|at| at + BEGIN.len());
-        let end = text.find(END);
-        let (Some(begin), Some(end)) = (begin, end.filter(|end| Some(*end) >= begin)) else {
-            anyhow::bail!("{PAGE} needs these two lines:\n{BEGIN}{END}");
-        };
-        Ok(Self { text, begin, end })
-    }
-
-    fn before(&self) -> &str {
-        &self.text[..self.begin]
-    }
-
-    fn table(&self) -> &str {
-        &self.text[self.begin..self.end]
-    }
-
-    fn after(&self) -> &str {
-        &self.text[self.end..]
-    }
+    let verb = "cargo xtask proofs --table";
+    Page::load(root, PART)?.check(&render(project, results)?, verb)
 }
 
 fn render(project: &Project, results: &Results) -> Result<String> {
@@ -107,14 +64,6 @@ fn render(project: &Project, results: &Results) -> Result<String> {
     conditions(project, results, &mut text);
     text.push('\n');
     Ok(text)
-}
-
-fn row(text: &mut String, cells: &[&str]) {
-    for cell in cells {
-        let cell = cell.split_whitespace().collect::<Vec<_>>().join(" ");
-        let _ = write!(text, "| {} ", cell.replace('|', "\\|"));
-    }
-    text.push_str("|\n");
 }
 
 /// The second table's row of a property.
@@ -345,12 +294,5 @@ mod tests {
         let refs: Vec<_> = all.iter().collect();
         assert_eq!(names(&refs), "`s1_length_*` (4)");
         assert_eq!(names(&refs[..1]), "`s1_length_0`");
-    }
-
-    #[test]
-    fn cells_stay_in_their_row() {
-        let mut text = String::new();
-        row(&mut text, &["a|b", "two\nlines"]);
-        assert_eq!(text, "| a\\|b | two lines |\n");
     }
 }

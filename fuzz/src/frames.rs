@@ -1,0 +1,213 @@
+//! Targets about one packet.
+
+use mavlink_signing::dialect::crc_extra;
+use mavlink_signing::{
+    Frame, FrameRef, Header, MavLinkState, Packet, SignError, Stamper, Timestamp, VerifyError,
+    verify_frame as verify_shared,
+};
+use mavseal_proofs::model::Resumed;
+use mavseal_proofs::tamper::{self, Change};
+use mavseal_proofs::{emit, packet, parse, relay, sign, unforgeable, verify};
+use mavseal_relay::{Forward, Refusal};
+
+use crate::input::{Head, Message, Moment, NOW, Receiver, Stamped, input};
+use crate::reached::reached;
+use crate::repair::{self, KEY, Shape};
+
+/// Any bytes: parsing (W1), the front of a decoder's buffer (W3), and the verdict on them (V1, V2).
+pub fn verify_frame(bytes: &[u8]) {
+    let crc_extra_byte = bytes.last().copied().unwrap_or_default();
+    reached(parse::parse_any(bytes, crc_extra_byte));
+    reached(packet::front(bytes, crc_extra));
+    let now = Timestamp::from_ticks(NOW).expect("48 bits");
+    let receiver = Receiver {
+        past: u16::MAX,
+        ..Receiver::default()
+    };
+    verdict_with_shared_state(bytes, receiver.into(), now);
+}
+
+/// The verdict, which is as specified (V1), and after which nothing has changed if it is a refusal (V2).
+fn verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) -> Result<(), VerifyError> {
+    let (checksum, tag) = (repair::checksum, repair::tag);
+    let verdict = verify::accepted_iff(bytes, &KEY, receiver, now, checksum, tag).map(drop);
+    let traceless = unforgeable::refusal_leaves_no_trace(bytes, &KEY, receiver, now);
+    assert_eq!(traceless, verdict);
+    reached(verdict);
+    verdict
+}
+
+/// The same verdict with the state that interrupts and threads share; the relay has a name for it; and
+/// what is sent on was undamaged.
+fn verdict_with_shared_state(bytes: &[u8], receiver: Resumed, now: Timestamp) {
+    let verdict = verdict(bytes, receiver, now);
+    let state = MavLinkState::new(receiver.replay());
+    let before = state.last();
+    let shared = FrameRef::parse(bytes)
+        .map_err(VerifyError::from)
+        .and_then(|frame| verify_shared(frame, &KEY, now, &state));
+    assert_eq!(shared.is_ok(), state.last() != before);
+    assert_eq!(shared.map(drop), verdict);
+    reached(verdict.map_err(Refusal::from));
+
+    if let Ok(frame) = FrameRef::parse(bytes) {
+        let id = frame.header().message_id;
+        let undamaged = crc_extra(id).map(|extra| frame.checksum_matches(extra));
+        let copy = Frame::try_from(frame);
+        match undamaged {
+            None => assert_eq!(copy, Err(SignError::UnknownMessage(id))),
+            Some(false) => assert_eq!(copy, Err(SignError::BadChecksum)),
+            Some(true) => {
+                let copy = copy.as_ref().expect("undamaged");
+                assert_eq!(copy.as_bytes(), frame.as_bytes());
+                assert_eq!(copy.is_signed(), frame.is_signed());
+            }
+        }
+        reached(copy.as_ref().map_err(|error| Refusal::from(*error)));
+        reached(copy);
+    }
+}
+
+input! {
+    /// A packet that is made whole as far as `repairs` says, then damaged, and who looks at it when.
+    #[derive(Default)]
+    pub struct Packaged<'a> {
+        /// Bits 0 and 1: what is made of the bytes, none, MAVLink 1, unsigned, signed. Bits 2 to 6,
+        /// made right: message, link, timestamp, checksum, tag.
+        pub repairs: u8,
+        /// The message, where it is made right.
+        pub message: Message,
+        /// The timestamp, where it is made right.
+        pub stamped: Moment,
+        /// When it is looked at.
+        pub now: Moment,
+        /// By whom.
+        pub receiver: Receiver,
+        /// Which byte is damaged at the end, modulo their number.
+        pub damage_at: u16,
+        /// The bits of it that are flipped; mostly none.
+        pub damage: u8,
+        /// The bytes.
+        pub bytes: &'a [u8],
+    }
+}
+
+/// [`Packaged::repairs`]: everything, of a signed frame.
+pub const ALL_REPAIRS: u8 = 0b111_1111;
+
+impl Packaged<'_> {
+    /// The packet.
+    #[must_use]
+    pub fn packet(&self) -> Vec<u8> {
+        let repaired = |bit: u32| self.repairs >> bit & 1 == 1;
+        let shape = [Shape::Any, Shape::Mavlink1, Shape::Unsigned, Shape::Signed];
+        let mut bytes = self.bytes.to_vec();
+        repair::shape(&mut bytes, shape[usize::from(self.repairs & 3)]);
+        if let Some(mut parts) = repair::parts(&bytes) {
+            if repaired(2) {
+                parts.set_id(&mut bytes, self.message.id());
+            }
+            let link_id = repaired(3).then_some(self.receiver.link_id);
+            let timestamp = repaired(4).then(|| self.stamped.timestamp());
+            parts.restamp(&mut bytes, link_id, timestamp);
+            if repaired(5) {
+                parts.repair_checksum(&mut bytes);
+            }
+            if repaired(6) {
+                parts.repair_tag(&mut bytes);
+            }
+        }
+        if !bytes.is_empty() {
+            let at = usize::from(self.damage_at) % bytes.len();
+            bytes[at] ^= self.damage;
+        }
+        bytes
+    }
+}
+
+/// A packet with a right tag, or one that is wrong in one way: the verdict on it (V1, V2).
+pub fn verify_repaired(input: &Packaged<'_>) {
+    let _ = verdict(
+        &input.packet(),
+        input.receiver.into(),
+        input.now.timestamp(),
+    );
+}
+
+/// The same, given to the relay: from the secure side only what is verified goes on, from the plain
+/// side only what is unsigned (L1).
+pub fn relay_packet(input: &Packaged<'_>) {
+    let bytes = input.packet();
+    let (now, receiver) = (input.now.timestamp(), input.receiver.into());
+    verdict_with_shared_state(&bytes, receiver, now);
+    let parsed = Packet::parse(&bytes, crc_extra);
+    reached(parsed.map_err(Refusal::from));
+    let Ok(packet) = parsed else {
+        return;
+    };
+    // Where something is damaged, that is the byte to look at.
+    let index = usize::from(input.damage_at);
+    for forward in [Forward::Whole, Forward::Stripped] {
+        reached(relay::only_verified_leaves(
+            packet, &KEY, receiver, forward, now, index,
+        ));
+    }
+    let stamper = Stamper::resume(!input.receiver.link_id, input.stamped.timestamp());
+    reached(relay::only_unsigned_is_signed(
+        packet, &KEY, stamper, now, index,
+    ));
+}
+
+input! {
+    /// A frame to sign.
+    #[derive(Default)]
+    pub struct ToSign<'a> {
+        /// Its header.
+        pub head: Head,
+        /// Its stamp.
+        pub stamped: Stamped,
+        /// The byte that is compared.
+        pub index: u16,
+        /// Its payload.
+        pub payload: &'a [u8],
+    }
+}
+
+/// A frame that is emitted, parsed (W2), signed (S1, S2) and verified (V3).
+pub fn sign_verify(input: &ToSign<'_>) {
+    let header = Header::from(input.head);
+    let (payload, stamp, index) = (input.payload, input.stamped.into(), input.index.into());
+    let emitted = emit::round_trip(header, payload, index);
+    reached(emitted);
+    match emitted {
+        Ok(()) => {
+            let (checksum, tag) = (repair::checksum, repair::tag);
+            sign::signs_in_place(header, payload, &KEY, stamp, index, checksum, tag);
+            sign::signed_verifies(header, payload, &KEY, stamp, index);
+        }
+        Err(SignError::PayloadTooLong(length)) => assert!(length == payload.len() && length > 255),
+        Err(error) => assert_eq!(error, SignError::UnknownMessage(header.message_id)),
+    }
+}
+
+input! {
+    /// A signed frame and what is changed in it.
+    #[derive(Default)]
+    pub struct Tampered<'a> {
+        /// Its header.
+        pub head: Head,
+        /// Its stamp.
+        pub stamped: Stamped,
+        /// The changes, one after another.
+        pub changes: Vec<Change>,
+        /// Its payload.
+        pub payload: &'a [u8],
+    }
+}
+
+/// Any change of a signed frame is refused.
+pub fn tamper_one(input: &Tampered<'_>) {
+    let (header, stamp) = (input.head.into(), input.stamped.into());
+    let refusal = tamper::change_is_refused(header, input.payload, &KEY, stamp, &input.changes);
+    reached(refusal.map_or(Ok(()), Err));
+}

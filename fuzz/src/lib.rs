@@ -1,0 +1,60 @@
+//! Fuzz targets: one plain function each, over the properties of `mavseal-proofs`.
+//!
+//! No check is bypassed: a target owns a key and makes checksums and tags right itself, see
+//! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
+//! committed seed, on any stable compiler.
+
+pub mod frames;
+pub mod input;
+pub mod reached;
+pub mod repair;
+pub mod streams;
+pub mod values;
+
+use arbitrary::Arbitrary;
+use input::decode;
+
+/// A fuzz target, to be run on files.
+#[derive(Clone, Copy, Debug)]
+pub struct Target {
+    /// Its name: its function's, and its file's in `fuzz_targets/`.
+    pub name: &'static str,
+    /// Runs it on the bytes of a file, as libFuzzer does.
+    pub run: fn(&[u8]),
+}
+
+/// Names targets, each with its function and how that comes by its input.
+macro_rules! targets {
+    ($($module:ident::$name:ident: $kind:ident,)*) => {
+        $(pub use $module::$name;)*
+
+        /// Every target.
+        pub const TARGETS: &[Target] = &[
+            $(Target { name: stringify!($name), run: |bytes| $kind(bytes, $name) },)*
+        ];
+    };
+}
+
+targets! {
+    frames::verify_frame: bytes,
+    frames::verify_repaired: input,
+    frames::sign_verify: input,
+    frames::tamper_one: input,
+    frames::relay_packet: input,
+    streams::decoder_chunks: input,
+    streams::replay_model: input,
+    streams::relay: input,
+    values::diff_hmac: input,
+    values::checksum_table: input,
+    values::stamps: input,
+}
+
+fn bytes(bytes: &[u8], target: impl Fn(&[u8])) {
+    target(bytes);
+}
+
+fn input<'a, T: Arbitrary<'a>>(bytes: &'a [u8], target: impl Fn(&T)) {
+    if let Some(input) = decode(bytes) {
+        target(&input);
+    }
+}

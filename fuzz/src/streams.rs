@@ -1,0 +1,143 @@
+//! Targets about streams of bytes.
+
+use mavlink_signing::dialect::crc_extra;
+use mavlink_signing::field::TIMESTAMP_SIZE;
+use mavlink_signing::{Decoder, Hmac, Resync, SigningKey, Timestamp};
+use mavseal_proofs::history::{Step, history};
+use mavseal_proofs::packet;
+use mavseal_proofs::pipes::{Turn, pipes};
+use mavseal_relay::Forward;
+
+use crate::input::{Moment, input};
+use crate::reached::reached;
+use crate::repair::{self, KEY, Parts, SECRET};
+
+input! {
+    /// A stream of packets and what is between them.
+    #[derive(Default)]
+    pub struct Stream<'a> {
+        /// Whether a payload is searched for packets.
+        pub next_byte: bool,
+        /// The packets whose checksums and tags are left as they are: bit `n` for packet `n`, modulo 16.
+        pub spared: u16,
+        /// The line is silent before each byte of this number; never, if it is zero.
+        pub silence: u8,
+        /// The lengths of the pieces that the stream comes in, in turn.
+        pub cuts: [u16; 3],
+        /// The bytes.
+        pub bytes: &'a [u8],
+    }
+}
+
+impl Stream<'_> {
+    /// What the decoder is given.
+    #[must_use]
+    pub fn stream(&self) -> Vec<u8> {
+        let mut bytes = self.bytes.to_vec();
+        repair::stream(&mut bytes, self.spared, |_, _| {});
+        bytes
+    }
+}
+
+/// A stream in pieces against the stream as a whole, and byte by byte with silences (W3).
+pub fn decoder_chunks(input: &Stream<'_>) {
+    let stream = input.stream();
+    let resync = if input.next_byte {
+        Resync::NextByte
+    } else {
+        Resync::AnnouncedEnd
+    };
+    packet::cut_does_not_matter(resync, &stream, &input.cuts.map(usize::from));
+
+    let mut decoder = Decoder::new(resync, crc_extra);
+    for (at, byte) in stream.into_iter().enumerate() {
+        if input.silence > 0 && at % usize::from(input.silence) == 0 {
+            decoder.idle();
+        }
+        packet::takes(&mut decoder, byte);
+        while let Some(found) = packet::gives(&mut decoder, crc_extra) {
+            reached(found);
+        }
+    }
+}
+
+input! {
+    /// What happens on a link.
+    #[derive(Default)]
+    pub struct History {
+        /// When it begins.
+        pub start: Moment,
+        /// What happens.
+        pub steps: Vec<Step>,
+    }
+}
+
+/// Signing, loss, repetition, reordering, damage and clocks that jump, against a naive model (R1, T1).
+pub fn replay_model(input: &History) {
+    history(&KEY, input.start.timestamp(), &input.steps);
+}
+
+input! {
+    /// What arrives on both sides of the relay.
+    #[derive(Default)]
+    pub struct Piped<'a> {
+        /// Whether verified frames leave as they came.
+        pub whole: bool,
+        /// The time.
+        pub now: Moment,
+        /// The packets that are left as they are: bit `n` for packet `n` of each side, modulo 16.
+        pub spared: u16,
+        /// How the ports behave, turn by turn.
+        pub turns: Vec<Turn>,
+        /// How many of the bytes come from the plain side.
+        pub plain: u16,
+        /// The bytes from the plain side, then those from the secure side.
+        pub bytes: &'a [u8],
+    }
+}
+
+impl Piped<'_> {
+    /// What arrives on the plain and on the secure side.
+    #[must_use]
+    pub fn streams(&self) -> [Vec<u8>; 2] {
+        let plain = usize::from(self.plain).min(self.bytes.len());
+        let (plain, secure) = self.bytes.split_at(plain);
+        let mut streams = [plain.to_vec(), secure.to_vec()];
+        let now = self.now.timestamp();
+        for stream in &mut streams {
+            repair::stream(stream, self.spared, |packet, parts| {
+                near(packet, parts, now)
+            });
+        }
+        streams
+    }
+}
+
+/// Brings the timestamp of a frame near `now`: of the one that it has, the lowest 3 bytes count, which
+/// say how long ago it was, from 16 ticks ahead on; further back than the window reaches.
+fn near(packet: &mut [u8], parts: Parts, now: Timestamp) {
+    if let Some(at) = parts.signature {
+        let [a, b, c] = [1, 2, 3].map(|offset| packet[at + offset]);
+        let ago = u64::from(u32::from_le_bytes([a, b, c, 0]));
+        let ticks = now.saturating_add(16).ticks().saturating_sub(ago);
+        packet[at + 1..][..TIMESTAMP_SIZE].copy_from_slice(&ticks.to_le_bytes()[..6]);
+    }
+}
+
+/// The relay between two pipes, both ways, against its parts in sequence (L1).
+pub fn relay(input: &Piped<'_>) {
+    let forward = if input.whole {
+        Forward::Whole
+    } else {
+        Forward::Stripped
+    };
+    let key = || SigningKey::<Hmac>::new(&SECRET).expect("a key");
+    let [plain, secure] = input.streams();
+    let now = input.now.timestamp();
+    let counted = pipes(key, forward, now, &plain, &secure, &input.turns);
+    for counters in counted {
+        for (refusal, count) in counters.refusals() {
+            reached(if count > 0 { Err(refusal) } else { Ok(()) });
+        }
+    }
+}

@@ -1,0 +1,89 @@
+//! Targets about single values: keys and tags, checksums, message ids, stamps.
+
+use mavlink_signing::{Hmac, KEY_SIZE, KeyError, Profile, SigningKey};
+use mavseal_proofs::{checksum, replay, stamp, table};
+
+use crate::input::{Message, Moment, Receiver, Stamped, input};
+use crate::reached::reached;
+use crate::repair::{self, KEY};
+
+input! {
+    /// A key and what it signs.
+    #[derive(Default)]
+    pub struct Keyed<'a> {
+        /// How many of the bytes are the key; 255 stands for 32.
+        pub key_length: u8,
+        /// The key, then the message.
+        pub bytes: &'a [u8],
+    }
+}
+
+/// The profile `Hmac` against the crate `hmac-sha256` (S3), and which keys there are.
+pub fn diff_hmac(input: &Keyed<'_>) {
+    let length = match input.key_length {
+        u8::MAX => KEY_SIZE,
+        length => length.into(),
+    };
+    let (key, message) = input.bytes.split_at(length.min(input.bytes.len()));
+    let made = SigningKey::<Hmac>::new(key);
+    match <&[u8; KEY_SIZE]>::try_from(key) {
+        Err(_) => assert_eq!(made.as_ref().err(), Some(&KeyError::WrongLength(key.len()))),
+        Ok([0, rest @ ..]) if rest.iter().all(|byte| *byte == 0) => {
+            assert_eq!(made.as_ref().err(), Some(&KeyError::AllZero));
+        }
+        Ok(key) => {
+            assert!(made.is_ok());
+            let expected = hmac_sha256::HMAC::mac(message, key);
+            assert_eq!(<Hmac>::new(key).tag(message), expected[..6]);
+        }
+    }
+    reached(made);
+}
+
+input! {
+    /// Bytes under a checksum, and a message id.
+    #[derive(Default)]
+    pub struct Checked<'a> {
+        /// The checksum so far.
+        pub crc: u16,
+        /// The next byte, or the byte that the message's definition adds.
+        pub byte: u8,
+        /// The message that is looked up.
+        pub message: Message,
+        /// The bytes.
+        pub covered: &'a [u8],
+    }
+}
+
+/// The checksum, as a step and as a whole, against its definition and against the crate `crc` (C1); the
+/// table of messages (C2).
+pub fn checksum_table(input: &Checked<'_>) {
+    checksum::step_is_bitwise(input.crc, input.byte);
+    checksum::whole_is_the_fold(input.covered, input.byte);
+    assert_eq!(
+        mavlink_signing::crc::checksum(input.covered, input.byte),
+        repair::checksum(input.covered, input.byte)
+    );
+    let _ = table::found_if_there(input.message.id());
+}
+
+input! {
+    /// A sender and a receiver, each in the state that it was resumed in, and two moments.
+    #[derive(Copy, Default)]
+    pub struct Clocks {
+        /// What the sender stamps with, and its mark.
+        pub sender: Stamped,
+        /// The receiver.
+        pub receiver: Receiver,
+        /// The moments.
+        pub now: [Moment; 2],
+    }
+}
+
+/// Two stamps of a sender (T1), and one step of a receiver that is given the mark (R1).
+pub fn stamps(input: &Clocks) {
+    let now = input.now.map(Moment::timestamp);
+    let Stamped { link_id, moment } = input.sender;
+    reached(stamp::two_stamps(link_id, moment.timestamp(), now));
+    replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
+}

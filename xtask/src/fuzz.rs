@@ -1,0 +1,100 @@
+//! `cargo xtask fuzz`: seeds, smoke tests, campaigns, and what they show.
+
+mod campaign;
+mod engine;
+mod plan;
+mod results;
+mod table;
+
+use std::path::PathBuf;
+
+use anyhow::{Result, ensure};
+use clap::{Args, Subcommand};
+
+use crate::proofs::results::cores;
+use crate::setup::{self, CargoFuzz, root};
+use engine::Engine;
+use plan::Target;
+
+/// Options of `cargo xtask fuzz`.
+#[derive(Args)]
+pub(crate) struct Options {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Use the compiler in use, not rustup's nightly
+    #[arg(long, global = true)]
+    stable: bool,
+    /// Only this target; may be repeated
+    #[arg(long, global = true, value_name = "TARGET")]
+    only: Vec<String>,
+    /// Targets at a time [default: one for each core]
+    #[arg(long, global = true, value_name = "N")]
+    jobs: Option<usize>,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Every target for some seconds, from its seeds
+    Smoke,
+    /// Every target, all together for some minutes; writes what came out to verification.md
+    Campaign {
+        /// How long
+        #[arg(long, default_value_t = 60.0)]
+        minutes: f64,
+    },
+    /// Write what came out to verification.md again; run nothing
+    Table {
+        /// Write nothing; fail if it does not say what the results say
+        #[arg(long)]
+        check: bool,
+    },
+}
+
+/// Runs what the options say.
+///
+/// # Errors
+/// If a target fails, or a bar is missed; which has been printed.
+pub(crate) fn run(options: &Options) -> Result<()> {
+    let jobs = options.jobs.unwrap_or_else(cores).max(1);
+    match options.verb {
+        Verb::Table { check: true } => table::check(&root()),
+        Verb::Table { check: false } => table::write(&root()),
+        Verb::Smoke => campaign::smoke(&Fuzzer::new(options)?, jobs),
+        Verb::Campaign { minutes } => campaign::campaign(&Fuzzer::new(options)?, minutes, jobs),
+    }
+}
+
+/// The targets, built and ready to run.
+struct Fuzzer {
+    root: PathBuf,
+    target_dir: PathBuf,
+    cargo_fuzz: CargoFuzz,
+    engine: Engine,
+    /// Those that are asked for.
+    targets: Vec<Target>,
+}
+
+impl Fuzzer {
+    fn new(options: &Options) -> Result<Self> {
+        let root = root();
+        let mut targets = plan::targets(&root)?;
+        let only = &options.only;
+        for name in only {
+            let known = targets.iter().any(|target| target.name == *name);
+            ensure!(known, "{name} is no target of fuzz/targets.toml");
+        }
+        targets.retain(|target| only.is_empty() || only.contains(&target.name));
+        let cargo_fuzz = setup::cargo_fuzz(options.stable)?;
+        let mut metadata = cargo_metadata::MetadataCommand::new();
+        metadata.manifest_path(root.join("Cargo.toml")).no_deps();
+        let target_dir = metadata.exec()?.target_directory.join("fuzz");
+        let target_dir = PathBuf::from(target_dir);
+        Ok(Self {
+            engine: Engine::build(&cargo_fuzz, &root, &target_dir)?,
+            root,
+            target_dir,
+            cargo_fuzz,
+            targets,
+        })
+    }
+}
