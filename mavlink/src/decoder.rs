@@ -314,28 +314,23 @@ impl Decoder {
 
 #[cfg(kani)]
 impl Decoder {
-    /// For proofs: any bytes in the buffer, `done` and `lent` of them done with and lent out; nothing
-    /// dropped so far.
+    /// For proofs: the first `length` bytes of `bytes` in the buffer, `done` and `lent` of them done
+    /// with and lent out; nothing dropped so far.
     #[must_use]
-    pub fn any(
-        resync: Resync,
-        idle: bool,
+    pub fn holding(
+        self,
+        bytes: [u8; MAX_FRAME_SIZE],
+        length: usize,
         [done, lent]: [usize; 2],
-        crc_extra: fn(MessageId) -> Option<u8>,
     ) -> Self {
-        let mut buffer = Vec::from_array(kani::any::<[u8; MAX_FRAME_SIZE]>());
-        buffer.truncate(kani::any());
-        let decoder = Self {
+        let mut buffer = Vec::from_array(bytes);
+        buffer.truncate(length);
+        Self {
             buffer,
             done,
             lent,
-            idle,
-            dropped: 0,
-            resync,
-            crc_extra,
-        };
-        kani::assume(decoder.is_valid());
-        decoder
+            ..self
+        }
     }
 
     /// For proofs: what is done with and what is lent out lie in the buffer.

@@ -270,7 +270,9 @@ mod harness {
     #[kani::proof]
     #[kani::unwind(4)]
     fn w3_takes() {
-        let mut decoder = Decoder::any(Resync::NextByte, kani::any(), kani::any(), any_extra);
+        let decoder = Decoder::new(Resync::NextByte, any_extra);
+        let mut decoder = decoder.holding(kani::any(), kani::any(), kani::any());
+        kani::assume(decoder.is_valid());
         let room = decoder.room();
         takes(&mut decoder, kani::any());
         assert!(decoder.is_valid());
@@ -278,25 +280,56 @@ mod harness {
         kani::cover!(room == MAX_FRAME_SIZE, "empty");
     }
 
-    /// What is done with lies before what is looked at, and is left out. With [`Resync::NextByte`] so
-    /// is a silence: the decoder may then try every byte.
+    /// What comes out of a decoder that holds the first `length` of `bytes`, done with none of them,
+    /// whose line is silent if `idle`.
+    fn gives_of(
+        resync: Resync,
+        idle: bool,
+        bytes: [u8; MAX_FRAME_SIZE],
+        length: usize,
+    ) -> Option<Result<usize, DecodeError>> {
+        set_checksum(kani::any());
+        EXTRA.store(kani::any(), Relaxed);
+        let mut decoder = Decoder::new(resync, any_extra).holding(bytes, length, [0, 0]);
+        if idle {
+            decoder.idle();
+        }
+        let found = gives(&mut decoder, any_extra);
+        assert!(decoder.is_valid());
+        found
+    }
+
+    /// Any bytes where something begins like a packet.
+    #[kani::proof]
+    #[kani::unwind(3)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+    #[kani::stub(mavlink_signing::decoder::noise, any_noise)]
+    fn w3_gives_packets() {
+        let (bytes, length): ([u8; MAX_FRAME_SIZE], usize) = kani::any();
+        kani::assume(length <= MAX_FRAME_SIZE && is_magic(bytes[0]));
+        let found = gives_of(Resync::NextByte, false, bytes, length);
+        kani::cover!(found == Some(Ok(MAX_FRAME_SIZE)), "the longest frame");
+        kani::cover!(found.is_none(), "more is needed");
+    }
+
+    /// Up to 40 bytes, noise before packets too, and silence.
     #[kani::proof]
     #[kani::unwind(4)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     #[kani::stub(mavlink_signing::decoder::noise, any_noise)]
-    fn w3_gives() {
-        set_checksum(kani::any());
-        EXTRA.store(kani::any(), Relaxed);
-        let resync = if kani::any() {
-            Resync::NextByte
-        } else {
+    fn w3_gives_behind_noise() {
+        let (bytes, length): ([u8; MAX_FRAME_SIZE], usize) = kani::any();
+        kani::assume(length <= 40);
+        let announced_end = kani::any();
+        let resync = if announced_end {
             Resync::AnnouncedEnd
+        } else {
+            Resync::NextByte
         };
-        let idle = resync == Resync::AnnouncedEnd && kani::any();
-        let mut decoder = Decoder::any(resync, idle, [0, 0], any_extra);
-        let found = gives(&mut decoder, any_extra);
-        assert!(decoder.is_valid());
-        kani::cover!(found == Some(Ok(MAX_FRAME_SIZE)), "the longest frame");
-        kani::cover!(found.is_none(), "more is needed");
+        // After a silence with `NextByte` the decoder may try every byte.
+        let idle = announced_end && kani::any();
+        let found = gives_of(resync, idle, bytes, length);
+        kani::cover!(found == Some(Ok(8)) && length == 40, "the shortest packet");
+        kani::cover!(found.is_none() && idle, "nothing in a silence");
     }
 }

@@ -95,7 +95,17 @@ fn hex(bytes: &[u8]) -> String {
 
 /// The parts of the workspace's files that change what is compiled.
 fn workspace(root: &Path) -> Result<Value> {
-    let manifest: Value = toml::from_str(&fs::read_to_string(root.join("Cargo.toml"))?)?;
+    let mut manifest: Value = toml::from_str(&fs::read_to_string(root.join("Cargo.toml"))?)?;
+    let profiles = manifest["profile"].as_object_mut();
+    for profile in profiles
+        .into_iter()
+        .flat_map(|profiles| profiles.values_mut())
+    {
+        // How single packages are optimised changes no result.
+        profile
+            .as_object_mut()
+            .and_then(|profile| profile.remove("package"));
+    }
     let config = fs::read_to_string(root.join(".cargo/config.toml")).unwrap_or_default();
     let mut config: Value = toml::from_str(&config)?;
     if let Some(config) = config.as_object_mut() {
