@@ -4,15 +4,20 @@ use std::collections::VecDeque;
 
 use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Frame, Header, Hmac, MessageId, Replay, SigningKey, Stamp, Stamper, Timestamp, Window,
-    sign_frame,
+    Frame, FrameRef, Header, Hmac, MessageId, Packet, Replay, SigningKey, Stamp, Stamper,
+    Timestamp, VerifyError, Window, crc::checksum, sign_frame,
 };
-use mavseal_relay::{Counters, Direction, Event, Forward, IDLE, PortError, Refusal, Relay};
+use mavseal_relay::{
+    Counters, Direction, Event, Forward, IDLE, PortError, Refusal, Relay, SameLinkId, Signer,
+    Verifier,
+};
 
 const KEY: [u8; 32] = *b"a key for tests, known to anyone";
 const LINK_OUT: u8 = 1;
 const LINK_IN: u8 = 2;
 const NOW: u64 = 37_555_200_000_000;
+/// More turns than any test needs.
+const MANY: u32 = 100_000;
 
 /// A port of which the test is the other end.
 #[derive(Default)]
@@ -124,7 +129,10 @@ impl Bench {
 
     /// Polls until nothing moves.
     fn run(&mut self) {
-        while self.poll().moved() {}
+        let mut turns = 0..MANY;
+        while self.poll().moved() {
+            assert!(turns.next().is_some(), "the relay does not come to rest");
+        }
     }
 
     fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
@@ -330,7 +338,7 @@ fn a_stalled_direction_loses_nothing_and_stalls_nothing() {
 
     // One byte at a time.
     bench.plain.at_once = 1;
-    while !bench.secure.input.is_empty() || bench.plain.output.len() < expected.len() {
+    for _ in 0..2 * expected.len() {
         bench.plain.room = 1;
         let _ = bench.poll();
     }
@@ -345,13 +353,10 @@ fn a_broken_port_does_not_stop_the_other_direction() {
         .secure
         .input
         .extend(signed(&[1], LINK_IN, NOW).as_bytes());
-    let error = loop {
+    for _ in 0..10 {
         let polled = bench.poll();
-        if !bench.plain.output.is_empty() {
-            break polled.plain_to_secure.expect_err("it cannot be read");
-        }
-    };
-    assert_eq!(error, PortError::Input(Broken));
+        assert_eq!(polled.plain_to_secure, Err(PortError::Input(Broken)));
+    }
     assert_eq!(bench.relay.secure_to_plain().passed(), 1);
 
     bench.plain.broken = false;
@@ -364,12 +369,8 @@ fn a_port_that_takes_nothing_is_closed() {
     let mut bench = Bench::new();
     bench.secure.at_once = 0;
     bench.plain.input.extend(unsigned(&[1]).as_bytes());
-    let error = loop {
-        if let Err(error) = bench.poll().plain_to_secure {
-            break error;
-        }
-    };
-    assert_eq!(error, PortError::OutputClosed);
+    let error = (0..10).find_map(|_| bench.poll().plain_to_secure.err());
+    assert_eq!(error, Some(PortError::OutputClosed));
 
     // The frame is still there.
     bench.secure.at_once = 280;
@@ -540,4 +541,98 @@ fn a_port_that_gives_nothing_has_ended() {
     let polled = bench.poll();
     assert_eq!(polled.plain_to_secure, Err(PortError::InputClosed));
     assert_eq!(polled.secure_to_plain, Ok(false));
+}
+
+/// A shell may have a table of its own, which knows other messages than the core's.
+#[test]
+fn what_the_cores_table_does_not_know_is_refused() {
+    fn packet(bytes: &[u8]) -> Packet<'_> {
+        Packet::parse(bytes, |_| Some(0)).expect("a packet")
+    }
+    for (id, reason) in [(0, Refusal::BadChecksum), (0xF0, Refusal::UnknownMessage)] {
+        let mut plain = unsigned(&[1]).as_bytes().to_vec();
+        let mut secure = signed(&[1], LINK_IN, NOW).as_bytes().to_vec();
+        for bytes in [&mut plain, &mut secure] {
+            bytes[7..10].fill(id);
+            let repaired = checksum(&bytes[1..11], 0).to_le_bytes();
+            bytes[11..13].copy_from_slice(&repaired);
+        }
+        let mut signer = Signer::new(Stamper::new(LINK_OUT));
+        let refused = signer.sign(packet(&plain), &key(), at(NOW));
+        assert_eq!(refused, Err(reason));
+        let replay = Replay::new(LINK_IN, Window::SEED);
+        let mut verifier = Verifier::new(replay, Forward::Stripped);
+        let refused = verifier.verify(packet(&secure), &key(), at(NOW));
+        assert_eq!(refused, Err(reason));
+    }
+}
+
+/// A shell that calls the core itself counts with the same reasons.
+#[test]
+fn errors_of_the_core_are_reasons() {
+    let mut frame = signed(&[1], LINK_IN, NOW);
+    let flags = damaged(frame.as_bytes(), 2, 0x20);
+    let error = FrameRef::parse(&flags).expect_err("unknown flags");
+    let reason = Refusal::from(VerifyError::from(error));
+    assert_eq!(reason, Refusal::UnknownIncompatFlags);
+
+    let stamp = Stamp {
+        link_id: LINK_IN,
+        timestamp: at(NOW),
+    };
+    let error = sign_frame(&mut frame, &key(), stamp).expect_err("signed twice");
+    assert_eq!(Refusal::from(error), Refusal::AlreadySigned);
+}
+
+#[test]
+fn what_is_wrong_is_said() {
+    assert_eq!(
+        Refusal::ALL.map(|reason| reason.to_string()),
+        [
+            "MAVLink 1",
+            "SETUP_SIGNING",
+            "unknown flags",
+            "unknown message",
+            "bad checksum",
+            "already signed",
+            "clock exhausted",
+            "not signed",
+            "bad tag",
+            "wrong link",
+            "from the future",
+            "too old",
+            "replayed",
+            "other",
+        ]
+    );
+    assert_eq!(SameLinkId(5).to_string(), "both directions have link id 5");
+    let errors: [PortError<Broken, Broken>; 4] = [
+        PortError::Input(Broken),
+        PortError::Output(Broken),
+        PortError::InputClosed,
+        PortError::OutputClosed,
+    ];
+    assert_eq!(
+        errors.map(|error| error.to_string()),
+        [
+            "cannot read: broken",
+            "cannot write: broken",
+            "the port gives no more bytes",
+            "the port takes no more bytes",
+        ]
+    );
+}
+
+/// Logs say how a relay is, and nothing of its key.
+#[test]
+fn a_relay_is_shown_by_its_counters() {
+    let mut bench = Bench::new();
+    bench.plain_in(unsigned(&[1]).as_bytes());
+    let shown = format!("{:?}", bench.relay);
+    let (out, back) = (bench.relay.plain_to_secure(), bench.relay.secure_to_plain());
+    assert_eq!(
+        shown,
+        format!("Relay {{ plain_to_secure: {out:?}, secure_to_plain: {back:?}, .. }}")
+    );
+    assert_eq!((out.passed(), back.passed()), (1, 0));
 }

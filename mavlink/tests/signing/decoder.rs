@@ -1,6 +1,9 @@
 //! The decoder: whatever comes over the line, in whatever pieces.
 
+use std::{error::Error, process, sync::mpsc, thread, time::Duration};
+
 use crate::common::*;
+use mavlink_signing::field::MAX_FRAME_SIZE;
 use mavlink_signing::{
     DecodeError, Decoder, MessageId, Packet, ParseError, Resync, dialect::crc_extra,
 };
@@ -23,6 +26,7 @@ fn read_all(decoder: &mut Decoder) -> Vec<Found> {
             Ok(Packet::Mavlink1(packet)) => Found::Mavlink1(packet.as_bytes().into()),
             Err(fault) => Found::Fault(fault),
         });
+        assert!(found.len() <= MAX_FRAME_SIZE, "each takes a byte at least");
     }
     found
 }
@@ -96,6 +100,7 @@ fn every_byte_is_dropped_or_in_a_packet() {
     while !rest.is_empty() {
         assert_eq!(decoder.room(), decoder.clone().write(&[0; 400]));
         let taken = decoder.write(rest);
+        assert!(taken > 0, "there is room after read has returned None");
         rest = &rest[taken..];
         for found in read_all(&mut decoder) {
             if let Found::Mavlink2(bytes) | Found::Mavlink1(bytes) = found {
@@ -104,6 +109,28 @@ fn every_byte_is_dropped_or_in_a_packet() {
         }
     }
     assert_eq!(in_packets + decoder.dropped() as usize, stream.len());
+}
+
+/// A decoder that searches for ever would hold up whatever else the machine does.
+#[test]
+fn the_decoder_always_returns() {
+    let (returned, wait) = mpsc::channel();
+    thread::spawn(move || {
+        for resync in [Resync::NextByte, Resync::AnnouncedEnd] {
+            let mut decoder = Decoder::new(resync, crc_extra);
+            for byte in stream() {
+                decoder.write(&[byte]);
+                decoder.idle();
+                read_all(&mut decoder);
+            }
+        }
+        returned.send(())
+    });
+    if wait.recv_timeout(Duration::from_secs(20)) == Err(mpsc::RecvTimeoutError::Timeout) {
+        // A thread cannot be stopped: the tests that wait for the decoder would never end.
+        eprintln!("the decoder does not return");
+        process::exit(1);
+    }
 }
 
 #[test]
@@ -194,6 +221,27 @@ fn a_payload_is_taken_for_packets_only_where_that_is_asked_for() {
     }
 }
 
+/// To the byte, whatever kind of packet it is: one more would be of the next packet, one less would be
+/// searched for packets.
+#[test]
+fn a_damaged_packet_is_given_up_whole_where_payloads_are_not_searched() {
+    let packets = [
+        MAVLINK1.to_vec(),
+        unsigned(0, &[9; 9]).as_bytes().to_vec(),
+        signed(&[9; 9], NOW).as_bytes().to_vec(),
+    ];
+    for mut packet in packets {
+        packet[4] ^= 1;
+        let mut decoder = Decoder::new(Resync::AnnouncedEnd, crc_extra);
+        decoder.write(&packet);
+        let fault = DecodeError::BadChecksum(MessageId::from(0));
+        assert_eq!(decoder.read(), Some(Err(fault)));
+        assert_eq!(decoder.dropped() as usize, packet.len());
+        decoder.write(&MAVLINK1);
+        assert_eq!(read_all(&mut decoder), [Found::Mavlink1(MAVLINK1.into())]);
+    }
+}
+
 #[test]
 fn a_cut_packet_is_given_up_whole_where_payloads_are_not_searched() {
     let mut stream = packet_in_packet(|_| ());
@@ -212,4 +260,27 @@ fn a_cut_packet_is_given_up_whole_where_payloads_are_not_searched() {
         assert!(decoder.read().is_none());
         assert_eq!(decoder.dropped() as usize, cut);
     }
+}
+
+#[test]
+fn what_is_wrong_with_bytes_is_said() {
+    let id = MessageId::from(7);
+    let flags = ParseError::UnknownIncompatFlags(3);
+    let said = [
+        DecodeError::Parse(flags).to_string(),
+        DecodeError::UnknownMessage(id).to_string(),
+        DecodeError::BadChecksum(id).to_string(),
+    ];
+    assert_eq!(
+        said,
+        [
+            "unknown incompatibility flags 0x03",
+            "message 7 is not in the dialect",
+            "bad checksum for message 7",
+        ]
+    );
+    let parse = DecodeError::Parse(flags);
+    let source = parse.source().and_then(|source| source.downcast_ref());
+    assert_eq!(source, Some(&flags));
+    assert!(DecodeError::BadChecksum(id).source().is_none());
 }

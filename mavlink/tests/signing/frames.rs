@@ -1,5 +1,6 @@
 //! Frames of every length, every damage, every edge of time.
 
+use std::error::Error;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::*;
@@ -300,6 +301,23 @@ fn nothing_shows_a_key() {
     assert_eq!(format!("{:?}", key()), "SigningKey(redacted)");
 }
 
+/// Logs say what a frame is, and nothing of a payload that nobody has vouched for.
+#[test]
+fn a_frame_is_shown_without_its_payload() {
+    for frame in [unsigned(0, &[0xA5; 3]), signed(&[0xA5; 3], NOW)] {
+        let received = FrameRef::parse(frame.as_bytes()).expect("a frame");
+        let (header, signature) = (received.header(), received.signature());
+        let shown = format!("{received:?}");
+        assert_eq!(
+            shown,
+            format!(
+                "FrameRef {{ header: {header:?}, payload_length: 3, signature: {signature:?} }}"
+            )
+        );
+        assert_eq!(format!("{frame:?}"), shown);
+    }
+}
+
 /// RFC 4231, section 4, cases 1 to 5, cut to 48 bits. A key shorter than 32 bytes is the same key
 /// with zeros after it (RFC 2104, section 2); the longer keys of cases 6 and 7 are none here.
 #[test]
@@ -402,4 +420,8 @@ fn errors_say_what_is_wrong() {
          stamped too long ago\n\
          not newer than the last accepted frame"
     );
+    let parse = VerifyError::Parse(ParseError::Truncated);
+    let source = parse.source().and_then(|source| source.downcast_ref());
+    assert_eq!(source, Some(&ParseError::Truncated));
+    assert!(VerifyError::BadTag.source().is_none());
 }

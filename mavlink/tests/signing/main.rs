@@ -2,5 +2,6 @@
 
 mod common;
 mod decoder;
+mod dialect;
 mod frames;
 mod seed;
