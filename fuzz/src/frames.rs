@@ -3,7 +3,7 @@
 use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::{
     Frame, FrameRef, Header, MavLinkState, Packet, SignError, Stamper, Timestamp, VerifyError,
-    verify_frame as verify_shared,
+    sign_frame, verify_frame as verify_shared,
 };
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::tamper::{self, Change};
@@ -38,7 +38,7 @@ fn verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) -> Result<(), Verify
 }
 
 /// The same verdict with the state that interrupts and threads share; the relay has a name for it; and
-/// what is sent on was undamaged.
+/// what is sent on was undamaged and is not signed again.
 fn verdict_with_shared_state(bytes: &[u8], receiver: Resumed, now: Timestamp) {
     let verdict = verdict(bytes, receiver, now);
     let state = MavLinkState::new(receiver.replay());
@@ -61,11 +61,23 @@ fn verdict_with_shared_state(bytes: &[u8], receiver: Resumed, now: Timestamp) {
                 let copy = copy.as_ref().expect("undamaged");
                 assert_eq!(copy.as_bytes(), frame.as_bytes());
                 assert_eq!(copy.is_signed(), frame.is_signed());
+                sign_again(copy);
             }
         }
         reached(copy.as_ref().map_err(|error| Refusal::from(*error)));
         reached(copy);
     }
+}
+
+/// A frame that is signed is not signed once more.
+fn sign_again(frame: &Frame) {
+    let mut again = frame.clone();
+    let signed = sign_frame(&mut again, &KEY, Stamped::default().into());
+    assert_eq!(signed.is_err(), frame.is_signed());
+    if signed.is_err() {
+        assert_eq!(again.as_bytes(), frame.as_bytes());
+    }
+    reached(signed);
 }
 
 input! {

@@ -25,18 +25,22 @@ pub fn decode<'a, T: Arbitrary<'a>>(bytes: &'a [u8]) -> Option<T> {
     T::arbitrary_take_rest(Unstructured::new(bytes)).ok()
 }
 
-/// The file that `input` is read from.
-///
-/// # Panics
-///
-/// If it is read back as something else.
-#[must_use]
-pub fn file<T: Encode + for<'a> Arbitrary<'a> + Debug>(input: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    input.encode(&mut bytes);
-    let read = decode::<T>(&bytes).map(|read| format!("{read:?}"));
-    assert_eq!(read, Some(format!("{input:?}")));
-    bytes
+/// What [`input!`] defines.
+pub trait Input: Encode + Debug {
+    /// How the input in `bytes` shows itself.
+    fn shown(bytes: &[u8]) -> Option<String>;
+
+    /// The file that this input is read from.
+    ///
+    /// # Panics
+    ///
+    /// If it is read as something else.
+    fn file(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        self.encode(&mut bytes);
+        assert_eq!(Self::shown(&bytes), Some(format!("{self:?}")));
+        bytes
+    }
 }
 
 /// Writes a value as `arbitrary` reads numbers: least significant byte first.
@@ -139,6 +143,12 @@ macro_rules! input {
         impl $(<$life>)? $crate::input::Encode for $name $(<$life>)? {
             fn encode(&self, bytes: &mut Vec<u8>) {
                 $($crate::input::Encode::encode(&self.$field, bytes);)*
+            }
+        }
+
+        impl $(<$life>)? $crate::input::Input for $name $(<$life>)? {
+            fn shown(bytes: &[u8]) -> Option<String> {
+                $crate::input::decode::<$name>(bytes).map(|input| format!("{input:?}"))
             }
         }
     };

@@ -6,8 +6,10 @@
 
 pub mod frames;
 pub mod input;
+pub mod ports;
 pub mod reached;
 pub mod repair;
+pub mod seeds;
 pub mod streams;
 pub mod values;
 
@@ -44,6 +46,7 @@ targets! {
     streams::decoder_chunks: input,
     streams::replay_model: input,
     streams::relay: input,
+    ports::relay_ports: input,
     values::diff_hmac: input,
     values::checksum_table: input,
     values::stamps: input,

@@ -71,12 +71,12 @@ input! {
     /// A sender and a receiver, each in the state that it was resumed in, and two moments.
     #[derive(Copy, Default)]
     pub struct Clocks {
+        /// The moments.
+        pub now: [Moment; 2],
         /// What the sender stamps with, and its mark.
         pub sender: Stamped,
         /// The receiver.
         pub receiver: Receiver,
-        /// The moments.
-        pub now: [Moment; 2],
     }
 }
 

@@ -1,6 +1,6 @@
 //! `cargo xtask demo`: recorded telemetry through the signer on an emulated Cortex-M7.
 
-mod wire;
+pub(crate) mod wire;
 
 use std::{
     collections::BTreeMap,

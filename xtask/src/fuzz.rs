@@ -4,6 +4,7 @@ mod campaign;
 mod engine;
 mod plan;
 mod results;
+mod seeds;
 mod table;
 
 use std::path::PathBuf;
@@ -42,6 +43,14 @@ enum Verb {
         #[arg(long, default_value_t = 60.0)]
         minutes: f64,
     },
+    /// Write the inputs that fuzzing begins with
+    Seeds {
+        /// Write nothing; fail if one differs from what is committed
+        #[arg(long)]
+        check: bool,
+    },
+    /// Keep of what campaigns left in fuzz/corpus the little that reaches more than the seeds
+    Minimise,
     /// Write what came out to verification.md again; run nothing
     Table {
         /// Write nothing; fail if it does not say what the results say
@@ -59,6 +68,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     match options.verb {
         Verb::Table { check: true } => table::check(&root()),
         Verb::Table { check: false } => table::write(&root()),
+        Verb::Seeds { check } => seeds::seeds(check),
+        Verb::Minimise => seeds::minimise(&Fuzzer::new(options)?),
         Verb::Smoke => campaign::smoke(&Fuzzer::new(options)?, jobs),
         Verb::Campaign { minutes } => campaign::campaign(&Fuzzer::new(options)?, minutes, jobs),
     }
@@ -85,10 +96,7 @@ impl Fuzzer {
         }
         targets.retain(|target| only.is_empty() || only.contains(&target.name));
         let cargo_fuzz = setup::cargo_fuzz(options.stable)?;
-        let mut metadata = cargo_metadata::MetadataCommand::new();
-        metadata.manifest_path(root.join("Cargo.toml")).no_deps();
-        let target_dir = metadata.exec()?.target_directory.join("fuzz");
-        let target_dir = PathBuf::from(target_dir);
+        let target_dir = setup::target_dir()?.join("fuzz");
         Ok(Self {
             engine: Engine::build(&cargo_fuzz, &root, &target_dir)?,
             root,

@@ -27,6 +27,16 @@ pub(crate) fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
+/// Where cargo puts what it makes.
+///
+/// # Errors
+/// If cargo does not say.
+pub(crate) fn target_dir() -> Result<PathBuf> {
+    let mut metadata = cargo_metadata::MetadataCommand::new();
+    metadata.manifest_path(root().join("Cargo.toml")).no_deps();
+    Ok(metadata.exec()?.target_directory.into())
+}
+
 /// Finds `qemu-system-arm`, or installs it, and checks that it can be [`MACHINE`].
 ///
 /// # Errors

@@ -101,7 +101,11 @@ fn take_first(bytes: &mut Vec<u8>) -> Result<Option<Frame>> {
     Ok(take_frames(bytes)?.pop())
 }
 
-fn telemetry_path() -> Result<PathBuf> {
+/// The log itself.
+///
+/// # Errors
+/// If the crate's sources are not there.
+pub(crate) fn telemetry_path() -> Result<PathBuf> {
     let metadata = cargo_metadata::MetadataCommand::new()
         .manifest_path(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"))
         .exec()?;

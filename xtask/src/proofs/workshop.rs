@@ -89,7 +89,10 @@ fn mirror(from: &Path, names: &BTreeSet<PathBuf>, to: &Path) -> Result<()> {
 }
 
 /// Every file below `folder`, as a path from there.
-fn files(folder: &Path) -> Result<BTreeSet<PathBuf>> {
+///
+/// # Errors
+/// If a folder cannot be read.
+pub(crate) fn files(folder: &Path) -> Result<BTreeSet<PathBuf>> {
     let mut files = BTreeSet::new();
     let mut open = vec![folder.to_owned()];
     while let Some(next) = open.pop() {
