@@ -8,16 +8,19 @@ use mavlink_signing::{
     Timestamp, VerifyError, Window, crc::checksum, sign_frame,
 };
 use mavseal_relay::{
-    Counters, Direction, Event, Forward, IDLE, PortError, Refusal, Relay, SameLinkId, Signer,
-    Verifier,
+    Counters, Direction, Event, Forward, PortError, Refusal, Relay, SameLinkId, Signer, Verifier,
 };
 
 const KEY: [u8; 32] = *b"a key for tests, known to anyone";
 const LINK_OUT: u8 = 1;
 const LINK_IN: u8 = 2;
 const NOW: u64 = 37_555_200_000_000;
+/// 100 milliseconds in ticks of 10 microseconds: the silence that ends a packet.
+const SILENCE: u64 = 10_000;
 /// More turns than any test needs.
 const MANY: u32 = 100_000;
+/// More bytes than any test sends.
+const ENOUGH: usize = 1_000_000;
 
 /// A port of which the test is the other end.
 #[derive(Default)]
@@ -91,6 +94,7 @@ impl WriteReady for Line {
 impl Write for Line {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Broken> {
         assert!(self.room > 0, "the relay never waits for output");
+        assert!(self.output.len() < ENOUGH, "the relay writes without end");
         let count = bytes.len().min(self.room).min(self.at_once);
         self.output.extend(&bytes[..count]);
         self.room -= count;
@@ -187,8 +191,15 @@ fn signed(payload: &[u8], link_id: u8, ticks: u64) -> Frame {
 
 /// Every reason that has been counted, and how often.
 fn refusals(counters: &Counters) -> Vec<(Refusal, u32)> {
-    let counted = counters.refusals();
-    counted.filter(|(_, count)| *count > 0).collect()
+    let counted: Vec<_> = counters.refusals().collect();
+    assert_eq!(
+        counted,
+        Refusal::ALL.map(|reason| (reason, counters.refused(reason)))
+    );
+    counted
+        .into_iter()
+        .filter(|(_, count)| *count > 0)
+        .collect()
 }
 
 /// `bytes` with the bits of `flip` changed at `offset`.
@@ -385,7 +396,7 @@ fn silence_gives_up_what_noise_began() {
     bench.secure.input.extend([0xFD, 255, 0]);
     bench.secure_in(signed(&[1, 2, 3], LINK_IN, NOW).as_bytes());
     assert!(bench.plain.output.is_empty());
-    bench.now += IDLE;
+    bench.now += SILENCE;
     bench.run();
     assert!(bench.plain.output.is_empty(), "not yet silent for long");
     bench.now += 1;
@@ -396,7 +407,7 @@ fn silence_gives_up_what_noise_began() {
     let mut bench = Bench::new();
     bench.plain.input.extend([0xFD, 255, 0]);
     bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
-    bench.now += IDLE + 1;
+    bench.now += SILENCE + 1;
     bench.run();
     assert!(bench.secure.output.is_empty());
     assert_eq!(bench.relay.plain_to_secure().dropped(), 3 + 15);
@@ -464,7 +475,7 @@ fn a_stall_is_no_silence() {
     bench.plain.input.extend(first.as_bytes());
     bench.plain_in(begun);
     for _ in 0..10 {
-        bench.now += IDLE;
+        bench.now += SILENCE;
         bench.run();
     }
     bench.secure.room = usize::MAX;
@@ -480,17 +491,17 @@ fn silence_is_as_long_as_one_says() {
     bench.relay = {
         let replay = Replay::new(LINK_IN, Window::SEED);
         let relay = Relay::new(key(), Stamper::new(LINK_OUT), replay, Forward::Stripped);
-        relay.expect("different links").idle(10 * IDLE)
+        relay.expect("different links").idle(10 * SILENCE)
     };
     let frame = unsigned(&[1, 2, 3]);
     let (begun, rest) = frame.as_bytes().split_at(5);
     bench.plain_in(begun);
-    bench.now += 10 * IDLE;
+    bench.now += 10 * SILENCE;
     bench.plain_in(rest);
     assert_eq!(bench.relay.plain_to_secure().passed(), 1);
 
     bench.plain_in(begun);
-    bench.now += 10 * IDLE + 1;
+    bench.now += 10 * SILENCE + 1;
     bench.run();
     bench.plain_in(rest);
     assert_eq!(bench.relay.plain_to_secure().passed(), 1);

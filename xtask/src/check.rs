@@ -11,7 +11,7 @@ use clap::Args;
 use xshell::{Shell, cmd};
 
 use crate::{
-    firmware, proofs,
+    firmware, mutants, proofs,
     setup::{self, root},
 };
 
@@ -52,6 +52,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step_unless("fast proofs", proofs::fast);
     if options.all {
         checks.step("firmware by the distribution's compiler", distribution);
+        checks.step("mutants of the cores", mutants::all);
     }
     checks.finish()
 }

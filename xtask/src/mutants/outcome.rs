@@ -1,0 +1,278 @@
+//! What became of each mutant, and why some may survive.
+
+use std::{collections::BTreeMap, fs, path::Path};
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+const RESULTS: &str = "xtask/src/mutants/results.json";
+const SURVIVORS: &str = "xtask/src/mutants/survivors.toml";
+
+/// The last run of all mutants.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Results {
+    pub(super) date: String,
+    pub(super) minutes: f64,
+    pub(super) cores: usize,
+    pub(super) jobs: usize,
+    pub(super) cargo_mutants: String,
+    pub(super) rustc: String,
+    /// Hash of what was changed and of the tests.
+    pub(super) sources: String,
+    /// By name and place.
+    pub(super) mutants: BTreeMap<String, Mutant>,
+}
+
+/// A mutant that was tried.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Mutant {
+    pub(super) package: String,
+    /// The first line that it changes, as changed; empty if it deletes one.
+    pub(super) line: String,
+    pub(super) fate: Fate,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Fate {
+    /// A test failed.
+    Killed,
+    /// No test did.
+    Survived,
+    /// The tests did not end.
+    Timeout,
+    /// It does not compile.
+    Unviable,
+}
+
+/// How many mutants met which fate.
+#[derive(Default)]
+pub(super) struct Count {
+    pub(super) killed: usize,
+    pub(super) survived: usize,
+    pub(super) timeout: usize,
+    pub(super) unviable: usize,
+}
+
+impl Count {
+    pub(super) const fn all(&self) -> usize {
+        self.killed + self.survived + self.timeout + self.unviable
+    }
+
+    /// Percent killed of those that compile.
+    pub(super) fn score(&self) -> f64 {
+        let viable = self.all() - self.unviable;
+        100.0 * self.killed as f64 / viable.max(1) as f64
+    }
+}
+
+impl Results {
+    /// The committed results, if there are any.
+    pub(super) fn load(root: &Path) -> Result<Option<Self>> {
+        let path = root.join(RESULTS);
+        if !path.is_file() {
+            return Ok(None);
+        }
+        serde_json::from_str(&fs::read_to_string(path)?).context(RESULTS)
+    }
+
+    pub(super) fn save(&self, root: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self)? + "\n";
+        fs::write(root.join(RESULTS), text).context(RESULTS)
+    }
+
+    /// Of one package, or of all.
+    pub(super) fn count(&self, package: Option<&str>) -> Count {
+        let mut count = Count::default();
+        for mutant in self.mutants.values() {
+            if package.is_none_or(|package| package == mutant.package) {
+                *match mutant.fate {
+                    Fate::Killed => &mut count.killed,
+                    Fate::Survived => &mut count.survived,
+                    Fate::Timeout => &mut count.timeout,
+                    Fate::Unviable => &mut count.unviable,
+                } += 1;
+            }
+        }
+        count
+    }
+}
+
+/// Reads what cargo-mutants left in `folder`.
+pub(super) fn read(folder: &Path) -> Result<BTreeMap<String, Mutant>> {
+    let text = fs::read_to_string(folder.join("outcomes.json")).context("outcomes.json")?;
+    let outcomes: Value = serde_json::from_str(&text)?;
+    let mut mutants = BTreeMap::new();
+    for outcome in outcomes["outcomes"].as_array().context("no outcomes")? {
+        let mutant = &outcome["scenario"]["Mutant"];
+        let (Some(name), Some(package)) = (mutant["name"].as_str(), mutant["package"].as_str())
+        else {
+            continue;
+        };
+        let summary = outcome["summary"].as_str().unwrap_or_default();
+        let fate = match summary {
+            "CaughtMutant" => Fate::Killed,
+            "MissedMutant" => Fate::Survived,
+            "Timeout" => Fate::Timeout,
+            "Unviable" => Fate::Unviable,
+            other => anyhow::bail!("{name}: {other}"),
+        };
+        let diff = outcome["diff_path"].as_str().context("no diff")?;
+        let diff = fs::read_to_string(folder.join(diff)).with_context(|| diff.to_owned())?;
+        let mutant = Mutant {
+            package: package.to_owned(),
+            line: changed_line(&diff),
+            fate,
+        };
+        mutants.insert(name.to_owned(), mutant);
+    }
+    Ok(mutants)
+}
+
+/// The first line that a diff adds, without the mark that cargo-mutants leaves in it.
+fn changed_line(diff: &str) -> String {
+    let mut added = diff
+        .lines()
+        .skip(2)
+        .filter_map(|line| line.strip_prefix('+'));
+    let line = added.next().unwrap_or_default();
+    let line = line.replace("/* ~ changed by cargo-mutants ~ */", "");
+    line.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// A mutant's name without its place in the file, which other changes move.
+fn without_place(name: &str) -> Option<String> {
+    let mut parts = name.splitn(4, ':');
+    let (file, _line, _column, change) =
+        (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
+    Some(format!("{file}:{change}"))
+}
+
+/// The mutants that may survive, and why.
+#[derive(Deserialize)]
+pub(super) struct Survivors {
+    #[serde(default, rename = "survivor")]
+    survivors: Vec<Survivor>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Survivor {
+    /// As cargo-mutants calls it, without its place in the file.
+    mutant: String,
+    /// As in [`Mutant`].
+    line: String,
+    reason: String,
+}
+
+impl Survivors {
+    pub(super) fn load(root: &Path) -> Result<Self> {
+        let text = fs::read_to_string(root.join(SURVIVORS)).context(SURVIVORS)?;
+        toml::from_str(&text).context(SURVIVORS)
+    }
+
+    /// Why `mutant` may survive, if somebody has said so.
+    pub(super) fn reason(&self, name: &str, mutant: &Mutant) -> Option<&str> {
+        let is = |survivor: &&Survivor| survivor.names(name, mutant);
+        let survivor = self.survivors.iter().find(is)?;
+        Some(&survivor.reason)
+    }
+
+    /// What survived without a reason; and if `all` mutants were tried, the reasons without a
+    /// survivor.
+    pub(super) fn faults(&self, tried: &BTreeMap<String, Mutant>, all: bool) -> Vec<String> {
+        let survived = |mutant: &Mutant| matches!(mutant.fate, Fate::Survived | Fate::Timeout);
+        let mut faults = Vec::new();
+        for (name, mutant) in tried {
+            if survived(mutant) && self.reason(name, mutant).is_none() {
+                let fate = format!("{:?}", mutant.fate).to_lowercase();
+                faults.push(format!("{fate}, unexplained: {name}: {}", mutant.line));
+            }
+        }
+        for survivor in &self.survivors {
+            let mut named = tried
+                .iter()
+                .filter(|(name, mutant)| survivor.names(name, mutant));
+            let fault = match named.next() {
+                None if all => "exists no longer",
+                Some((_, mutant)) if !survived(mutant) => "survives no longer",
+                _ if named.next().is_some() => "is not one mutant",
+                _ => continue,
+            };
+            faults.push(format!("{SURVIVORS}: {fault}: {}", survivor.mutant));
+        }
+        faults
+    }
+}
+
+impl Survivor {
+    fn names(&self, name: &str, mutant: &Mutant) -> bool {
+        without_place(name).as_ref() == Some(&self.mutant) && mutant.line == self.line
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NAME: &str = "core/src/a.rs: replace > with < in A::b";
+
+    fn tried(fate: Fate) -> BTreeMap<String, Mutant> {
+        let mutant = Mutant {
+            package: "core".into(),
+            line: "if a < b {".into(),
+            fate,
+        };
+        [(
+            "core/src/a.rs:7:11: replace > with < in A::b".into(),
+            mutant,
+        )]
+        .into()
+    }
+
+    fn survivors(names: &[&str]) -> Survivors {
+        let survivor = |name: &&str| Survivor {
+            mutant: (*name).into(),
+            line: "if a < b {".into(),
+            reason: "both are the same".into(),
+        };
+        Survivors {
+            survivors: names.iter().map(survivor).collect(),
+        }
+    }
+
+    #[test]
+    fn a_survivor_needs_a_reason_and_a_reason_a_survivor() {
+        let faults = |names: &[&str], fate| survivors(names).faults(&tried(fate), true).len();
+        assert_eq!(faults(&[], Fate::Killed), 0);
+        assert_eq!(faults(&[], Fate::Unviable), 0);
+        assert_eq!(faults(&[], Fate::Survived), 1);
+        assert_eq!(faults(&[], Fate::Timeout), 1);
+        assert_eq!(faults(&[NAME], Fate::Survived), 0);
+        assert_eq!(faults(&[NAME], Fate::Killed), 1);
+        assert_eq!(faults(&["another"], Fate::Killed), 1);
+        let some = survivors(&["another"]).faults(&tried(Fate::Killed), false);
+        assert!(some.is_empty(), "{some:?}");
+    }
+
+    #[test]
+    fn the_changed_line_is_that_of_the_diff() {
+        let diff = "--- a.rs\n+++ replace > with < in A::b\n@@ -1,3 +1,3 @@\n fn b() {\n\
+                    -    if a > b {\n+    if a < /* ~ changed by cargo-mutants ~ */ b {\n";
+        assert_eq!(changed_line(diff), "if a < b {");
+        assert_eq!(changed_line("--- a.rs\n+++ delete\n-    A => 1,\n"), "");
+    }
+
+    #[test]
+    fn the_score_leaves_out_what_does_not_compile() {
+        let count = Count {
+            killed: 19,
+            survived: 1,
+            unviable: 5,
+            ..Count::default()
+        };
+        assert_eq!((count.all(), count.score()), (25, 95.0));
+        assert_eq!(Count::default().score(), 0.0);
+    }
+}

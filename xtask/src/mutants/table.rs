@@ -1,0 +1,93 @@
+//! The part of verification.md that is about the mutants.
+
+use std::path::Path;
+
+use anyhow::Result;
+
+use super::{
+    CORES,
+    outcome::{Count, Results, Survivors},
+};
+use crate::page::{Page, row};
+
+/// The part of the page that is written here.
+const PART: &str = "mutants";
+
+/// Writes it.
+///
+/// # Errors
+/// If the page has no place for it.
+pub(super) fn write(root: &Path, sources: &str) -> Result<()> {
+    Page::load(root, PART)?.write(root, &render(root, sources)?)
+}
+
+/// Whether it says what the results say.
+///
+/// # Errors
+/// If it does not.
+pub(super) fn check(root: &Path, sources: &str) -> Result<()> {
+    Page::load(root, PART)?.check(&render(root, sources)?, "cargo xtask mutants --table")
+}
+
+fn render(root: &Path, sources: &str) -> Result<String> {
+    let Some(results) = Results::load(root)? else {
+        return Ok("\nNot yet run.\n\n".to_owned());
+    };
+    let stale = if results.sources == sources {
+        ""
+    } else {
+        "\n\n**Stale**: code or tests have changed since."
+    };
+    let Results {
+        date,
+        minutes,
+        cores,
+        jobs,
+        cargo_mutants,
+        rustc,
+        ..
+    } = &results;
+    let table = rows(&results);
+    let survivors = survivors(&results, &Survivors::load(root)?);
+    Ok(format!(
+        "\n{table}\ncargo-mutants {cargo_mutants}, rustc {rustc}, {date}: {minutes:.1} minutes, \
+         {jobs} mutants at a time on {cores} cores.{stale}\n\n{survivors}\n"
+    ))
+}
+
+/// How many mutants met which fate, by package.
+pub(super) fn rows(results: &Results) -> String {
+    let mut text =
+        "| package | mutants | killed | survived, explained | timeout | unviable | score |\n\
+                    |---|---|---|---|---|---|---|\n"
+            .to_owned();
+    let packages = CORES.map(|package| (package, results.count(Some(package))));
+    for (package, count) in packages.into_iter().chain([("both", results.count(None))]) {
+        let Count {
+            killed,
+            survived,
+            timeout,
+            unviable,
+        } = count;
+        let numbers = [count.all(), killed, survived, timeout, unviable].map(|n| n.to_string());
+        let score = format!("{:.1} %", count.score());
+        let [all, killed, survived, timeout, unviable] = numbers.each_ref().map(String::as_str);
+        row(
+            &mut text,
+            &[package, all, killed, survived, timeout, unviable, &score],
+        );
+    }
+    text
+}
+
+/// What may survive, and why.
+fn survivors(results: &Results, survivors: &Survivors) -> String {
+    let mut text = "| survives | as | because |\n|---|---|---|\n".to_owned();
+    for (name, mutant) in &results.mutants {
+        if let Some(reason) = survivors.reason(name, mutant) {
+            let line = format!("`{}`", mutant.line);
+            row(&mut text, &[name, &line, reason]);
+        }
+    }
+    text
+}
