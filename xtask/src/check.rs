@@ -11,12 +11,17 @@ use clap::Args;
 use xshell::{Shell, cmd};
 
 use crate::{
-    firmware, mutants, proofs,
+    firmware::{self, Chip},
+    mutants, proofs,
     setup::{self, root},
 };
 
-/// Targets that the cores alone are built for: a Cortex-M7, and the smaller Cortex-M0+.
-const CORE_TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
+/// Targets that the cores alone are built for: those of the chips, and one that no chip has.
+const CORE_TARGETS: [&str; 3] = [
+    "thumbv7em-none-eabihf",
+    "thumbv6m-none-eabi",
+    "riscv32imc-unknown-none-elf",
+];
 
 /// Options of `cargo xtask test`.
 #[derive(Args)]
@@ -45,6 +50,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         "firmware that may panic or log is refused",
         firmware::checks_can_fail,
     );
+    checks.step("wrong tags refused in constant time", || {
+        firmware::constant_time(options.all)
+    });
+    checks.step("log of the STM32C092RC", firmware::log);
     checks.step("signing demo in QEMU", signing_demo);
     checks.step("demonstration", demonstration);
     checks.step("demonstration with an echo must fail", echo_fails);
@@ -193,17 +202,19 @@ fn cores_alone() -> Result<()> {
 }
 
 fn firmware_lints() -> Result<Option<String>> {
-    let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
-    let mut version = toolchain.cargo("clippy");
-    if !version.arg("--version").output()?.status.success() {
-        return Ok(Some(format!("{toolchain} has no clippy")));
-    }
-    for features in ["common", "common,logging"] {
-        let mut cargo = toolchain.cargo("clippy");
-        cargo.current_dir(root().join("chips/qemu-m7"));
-        cargo.args(["--quiet", "--locked", "--no-default-features"]);
-        cargo.args(["--features", features, "--", "-D", "warnings"]);
-        succeed(&mut cargo)?;
+    for chip in Chip::ALL {
+        let toolchain = setup::toolchain(chip.target())?;
+        let mut version = toolchain.cargo("clippy");
+        if !version.arg("--version").output()?.status.success() {
+            return Ok(Some(format!("{toolchain} has no clippy")));
+        }
+        for features in ["common", "common,logging", "minimal,leaky"] {
+            let mut cargo = toolchain.cargo("clippy");
+            cargo.current_dir(root().join("chips").join(chip.directory()));
+            cargo.args(["--quiet", "--locked", "--no-default-features"]);
+            cargo.args(["--features", features, "--", "-D", "warnings"]);
+            succeed(&mut cargo)?;
+        }
     }
     Ok(None)
 }
@@ -213,7 +224,7 @@ fn signing_demo() -> Result<()> {
     setup::qemu(&Shell::new()?)?;
     let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
     let folder = root().join("chips/qemu-m7");
-    let expected = fs::read_to_string(folder.join("src/bin/demo.out"))?;
+    let expected = fs::read_to_string(root().join("chips/demo/demo.out"))?;
     let mut cargo = toolchain.cargo("run");
     cargo.current_dir(&folder);
     cargo.args(["--quiet", "--locked", "--release"]);

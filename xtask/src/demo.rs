@@ -18,7 +18,7 @@ use clap::{Args, ValueEnum};
 use comfy_table::{CellAlignment, Table, presets};
 
 use crate::{
-    firmware::{self, Image},
+    firmware::{self, Chip, Image, Rounds},
     qemu::Machine,
 };
 use wire::Frame;
@@ -56,15 +56,15 @@ enum Firmware {
 /// If anything came out that should not have, or did not come out that should have.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let elf = firmware::build(&Image {
-        package: "mavseal-qemu-m7",
+        chip: Chip::QemuM7,
         bin: match options.firmware {
             Firmware::Relay => "relay",
             Firmware::Echo => "echo",
         },
         profile: "release",
+        rounds: Rounds::Looped,
         features: &["ardupilotmega"],
         default_features: true,
-        target: "thumbv7em-none-eabihf",
     })?;
     let telemetry = wire::telemetry()?;
     let mut demo = Demo::boot(&elf)?;
@@ -130,7 +130,7 @@ struct Demo {
 
 impl Demo {
     fn boot(elf: &Path) -> Result<Self> {
-        let key = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips/qemu-m7/demo.key");
+        let key = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips/demo/demo.key");
         let key = fs::read(&key).with_context(|| key.display().to_string())?;
         let (send, log) = mpsc::channel();
         // The receiver is gone only when nobody wants to know any more.

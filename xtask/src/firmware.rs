@@ -1,65 +1,115 @@
-//! `cargo xtask firmware`: builds the images of `chips/` and holds them to their budgets.
+//! `cargo xtask firmware`: builds the images of `chips/`, runs them on emulated chips, and holds them
+//! to their budgets.
 
-use std::{
-    env, fs,
-    path::{Path, PathBuf},
-};
+mod build;
+mod constant_time;
+mod demo;
+mod emulator;
+mod instructions;
+mod peripherals;
+mod program;
+mod sizes;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
-use object::{
-    Object, ObjectSection, ObjectSymbol,
-    elf::{SHF_ALLOC, SHF_WRITE, SHT_NOBITS},
-    read::elf::{ElfFile32, SectionHeader},
-};
+
+pub(crate) use build::{Chip, Image, Rounds, build};
+use demo::LENGTHS;
+use program::Program;
+use sizes::{Symbols, sizes};
 
 use crate::setup;
 
-/// One program for a microcontroller, as cargo builds it.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Image {
-    /// `mavseal-` and the name of the directory in `chips/`
-    pub(crate) package: &'static str,
-    pub(crate) bin: &'static str,
-    pub(crate) profile: &'static str,
-    pub(crate) features: &'static [&'static str],
-    pub(crate) default_features: bool,
-    pub(crate) target: &'static str,
-}
-
-/// The most that an image may take, in bytes.
+/// The most that an image may take.
 struct Budget {
     image: Image,
+    /// Bytes
     flash: u64,
+    /// Bytes of `.data` and `.bss`
     ram: u64,
+    /// Only for the demonstration
+    demo: Option<DemoBudget>,
+}
+
+/// The most that the demonstration may take.
+struct DemoBudget {
+    /// Instructions to sign and to verify a frame with 3 bytes of payload, both together
+    instructions: u64,
+    /// Bytes of the whole stack
+    stack: u32,
 }
 
 /// A shipped image: no log, no way to panic.
-const fn deployed(bin: &'static str, features: &'static [&'static str]) -> Image {
+const fn deployed(chip: Chip, bin: &'static str, features: &'static [&'static str]) -> Image {
     Image {
-        package: "mavseal-qemu-m7",
+        chip,
         bin,
         profile: "release-deploy",
+        rounds: Rounds::Looped,
         features,
         default_features: false,
-        target: "thumbv7em-none-eabihf",
+    }
+}
+
+/// The demonstration as it is shipped.
+const fn demo(chip: Chip, rounds: Rounds) -> Image {
+    Image {
+        rounds,
+        ..deployed(chip, "demo", &["minimal"])
     }
 }
 
 /// Images that are shipped, and the most that they may take.
 const BUDGETS: &[Budget] = &[
     Budget {
-        image: deployed("demo", &["common"]),
-        flash: 6000,
-        ram: 64,
+        image: demo(Chip::Stm32c092rc, Rounds::Looped),
+        flash: FLASH,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 37_000,
+            stack: STACK,
+        }),
     },
     Budget {
-        image: deployed("relay", &["ardupilotmega"]),
+        image: demo(Chip::Stm32c092rc, Rounds::Unrolled),
+        flash: 15_000,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 26_500,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: demo(Chip::QemuM7, Rounds::Looped),
+        flash: FLASH,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 22_000,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: demo(Chip::QemuM7, Rounds::Unrolled),
+        flash: 13_000,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 15_000,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: deployed(Chip::QemuM7, "relay", &["ardupilotmega"]),
         flash: 13_000,
         ram: 64,
+        demo: None,
     },
 ];
+
+/// Bytes of flash for the smallest images.
+const FLASH: u64 = 5300;
+/// Bytes of stack for every demonstration.
+const STACK: u32 = 1050;
 
 /// Options of `cargo xtask firmware`.
 #[derive(Args, Default)]
@@ -67,61 +117,76 @@ pub(crate) struct Options {
     /// Also list the sections of each image
     #[arg(long)]
     sections: bool,
+    /// Instead, show that wrong tags are refused in constant time: every value of every byte
+    #[arg(long)]
+    constant_time: bool,
 }
 
-/// Builds every image that has a budget and prints what it takes.
+/// Builds every image that has a budget, runs the demonstrations, and prints what all take.
 ///
 /// # Errors
-/// If an image does not build, is above its budget, can panic, or logs.
+/// If an image does not build, does wrong, is above its budget, can panic, or logs.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let mut table = new_table(&[
+    if options.constant_time {
+        return constant_time(true);
+    }
+    let mut bytes = new_table(&[
         "image",
-        "profile",
+        "SHA-256",
         "flash",
-        "budget",
         ".data + .bss",
-        "budget",
+        "stack",
+        "of sign",
+        "of verify",
     ]);
+    let mut instructions = new_table(&["image", "SHA-256", "payload", "sign", "verify", "both"]);
     let mut sections = new_table(&["image", "section", "size"]);
     let mut complaints = Vec::new();
-    for Budget { image, flash, ram } in BUDGETS {
-        // Stripping takes away no loaded byte, and the symbols say whether the image can panic.
-        let unstripped = format!("profile.{}.strip=false", image.profile);
-        let elf = build_with(image, &["--config", &unstripped])?;
+    for budget in BUDGETS {
+        let image = &budget.image;
+        let elf = build(image)?;
         let sizes = sizes(&elf)?;
-        let name = image.name();
-        table.add_row([
-            name.clone(),
-            image.profile.to_owned(),
-            sizes.flash.to_string(),
-            flash.to_string(),
-            sizes.ram_static.to_string(),
-            ram.to_string(),
-        ]);
+        let name = [image.to_string(), image.rounds.to_string()];
+        let mut limit = |is: u64, most: u64, what: &str| {
+            if is > most {
+                complaints.push(format!("{}: {is} {what}, of {most}", name.join(", ")));
+            }
+        };
+        limit(sizes.flash, budget.flash, "bytes of flash");
+        limit(sizes.ram_static, budget.ram, "bytes of static RAM");
+        let mut row = name.to_vec();
+        row.extend([sizes.flash, sizes.ram_static].map(|size| size.to_string()));
+        if let Some(budget) = &budget.demo {
+            let cost = demo::measure(image.chip, &Program::read(&elf)?);
+            let cost = cost.with_context(|| name.join(", "))?;
+            let both = |[sign, verify]: [usize; 2]| sign + verify;
+            let least = both(cost.instructions[0]) as u64;
+            limit(least, budget.instructions, "instructions");
+            limit(cost.stack.into(), budget.stack.into(), "bytes of stack");
+            row.push(cost.stack.to_string());
+            row.extend(cost.stack_of.map(|stack| stack.to_string()));
+            for (length, counts) in LENGTHS.into_iter().zip(cost.instructions) {
+                let [sign, verify] = counts;
+                let numbers = [length as usize, sign, verify, both(counts)];
+                let numbers = numbers.map(|number| number.to_string());
+                instructions.add_row(name.clone().into_iter().chain(numbers));
+            }
+        }
+        bytes.add_row(row);
         for section in &sizes.sections {
-            sections.add_row([name.clone(), section.name.clone(), section.size.to_string()]);
+            sections.add_row([
+                name[0].clone(),
+                section.name.clone(),
+                section.size.to_string(),
+            ]);
         }
-        if sizes.flash > *flash {
-            complaints.push(format!(
-                "{name} takes {} bytes of flash, of {flash}",
-                sizes.flash
-            ));
-        }
-        if sizes.ram_static > *ram {
-            complaints.push(format!(
-                "{name} takes {} bytes of RAM, of {ram}",
-                sizes.ram_static
-            ));
-        }
-        complaints.extend(
-            Symbols::read(&elf)?
-                .complaints()
-                .map(|complaint| format!("{name} {complaint}")),
-        );
+        let symbols = Symbols::read(&elf)?;
+        let found = symbols.complaints();
+        complaints.extend(found.map(|complaint| format!("{image} {complaint}")));
     }
-    println!("{table}");
+    println!("Bytes:\n{bytes}\n\nInstructions for a frame:\n{instructions}");
     if options.sections {
-        println!("{sections}");
+        println!("\n{sections}");
     }
     ensure!(complaints.is_empty(), "{}", complaints.join("\n"));
     Ok(())
@@ -132,9 +197,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 /// # Errors
 /// If it is not.
 pub(crate) fn checks_can_fail() -> Result<()> {
-    let image = deployed("relay", &["ardupilotmega", "logging"]);
-    let unstripped = format!("profile.{}.strip=false", image.profile);
-    let found = Symbols::read(&build_with(&image, &["--config", &unstripped])?)?;
+    let image = deployed(Chip::QemuM7, "relay", &["ardupilotmega", "logging"]);
+    let found = Symbols::read(&build(&image)?)?;
     ensure!(!found.logging.is_empty(), "its log was not found");
     ensure!(!found.panicking.is_empty(), "its panics were not found");
     println!(
@@ -144,178 +208,50 @@ pub(crate) fn checks_can_fail() -> Result<()> {
     Ok(())
 }
 
-/// Builds an image; gives the path of the ELF file.
+/// Shows that the shipped demonstrations execute the same instructions for every wrong tag, and that
+/// one with a leaky comparison is found to leak. `all` takes every value of every byte of a tag.
 ///
 /// # Errors
-/// If there is no compiler for it, or it does not compile.
-pub(crate) fn build(image: &Image) -> Result<PathBuf> {
-    build_with(image, &[])
-}
-
-fn build_with(image: &Image, arguments: &[&str]) -> Result<PathBuf> {
-    let chips = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips");
-    let directory = chips.join(image.directory());
-    let toolchain = setup::toolchain(image.target)?;
-    let target_dir = match env::var_os("CARGO_TARGET_DIR") {
-        Some(shared) => std::path::absolute(shared)?.join("chips"),
-        None => chips.join("target"),
-    };
-    let target_dir = toolchain.target_dir(&target_dir);
-
-    eprintln!(
-        "building {} for {} by {toolchain}",
-        image.name(),
-        image.target
-    );
-    // From within its directory, so that the configuration in `chips/.cargo` is found.
-    let mut cargo = toolchain.cargo("build");
-    cargo
-        .current_dir(&directory)
-        .arg("--manifest-path")
-        .arg(directory.join("Cargo.toml"));
-    cargo.args([
-        "--locked",
-        "--quiet",
-        "--bin",
-        image.bin,
-        "--profile",
-        image.profile,
-    ]);
-    cargo.arg("--target-dir").arg(&target_dir).args(arguments);
-    if !image.default_features {
-        cargo.arg("--no-default-features");
+/// If it is not so.
+pub(crate) fn constant_time(all: bool) -> Result<()> {
+    let every = (1..=u8::MAX).collect::<Vec<_>>();
+    let values = if all { &every[..] } else { &[0x01, 0x80, 0xFF] };
+    for chip in Chip::ALL {
+        for rounds in [Rounds::Looped, Rounds::Unrolled] {
+            let program = Program::read(&build(&demo(chip, rounds))?)?;
+            let refused = constant_time::check(chip, &program, values)?;
+            println!(
+                "{}/demo, {rounds}: {refused} wrong tags refused by the same instructions",
+                chip.directory()
+            );
+        }
+        let leaky = deployed(chip, "demo", &["minimal", "leaky"]);
+        let program = Program::read(&build(&leaky)?)?;
+        let leak = constant_time::check(chip, &program, &[0x01]).err();
+        let leak = leak.context("a comparison that leaks was not found out")?;
+        println!("a comparison that leaks is found out: {leak:#}");
     }
-    if !image.features.is_empty() {
-        cargo.arg("--features").arg(image.features.join(","));
-    }
-    let status = cargo
-        .status()
-        .with_context(|| format!("{toolchain} cannot be run"))?;
-    ensure!(
-        status.success(),
-        "{} does not build by {toolchain}",
-        image.name()
-    );
-    let profile = if image.profile == "dev" {
-        "debug"
-    } else {
-        image.profile
-    };
-    Ok(target_dir.join(image.target).join(profile).join(image.bin))
+    Ok(())
 }
 
-impl Image {
-    fn directory(&self) -> &'static str {
-        self.package
-            .strip_prefix("mavseal-")
-            .unwrap_or(self.package)
-    }
-
-    fn name(&self) -> String {
-        format!("{}/{}", self.directory(), self.bin)
-    }
-}
-
-/// What an image takes of a microcontroller, in bytes.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Sizes {
-    /// Everything that is written to flash: vectors, code, constants, initial values of `.data`
-    pub(crate) flash: u64,
-    /// What the linker gives an address in RAM: `.data`, `.bss`, `.uninit`; the stack is not in it
-    pub(crate) ram_static: u64,
-    pub(crate) sections: Vec<Section>,
-}
-
-/// A section that takes flash, RAM or both.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Section {
-    pub(crate) name: String,
-    pub(crate) size: u64,
-}
-
-/// Measures an ELF file.
+/// Shows that the firmware for the STM32C092RC, as a person with the board would flash it, logs what
+/// is committed beside the demonstration.
 ///
 /// # Errors
-/// If it cannot be read as a 32-bit little endian ELF file.
-pub(crate) fn sizes(elf: &Path) -> Result<Sizes> {
-    let data = fs::read(elf).with_context(|| elf.display().to_string())?;
-    let mut sizes = Sizes {
-        flash: 0,
-        ram_static: 0,
-        sections: Vec::new(),
+/// If it logs something else.
+pub(crate) fn log() -> Result<()> {
+    let image = Image {
+        profile: "release",
+        features: &[],
+        default_features: true,
+        ..demo(Chip::Stm32c092rc, Rounds::Looped)
     };
-    for section in parse(&data, elf)?.sections() {
-        let header = section.elf_section_header();
-        let endian = object::LittleEndian;
-        let flags = header.sh_flags(endian);
-        let size = section.size();
-        if !flags.contains(SHF_ALLOC) || size == 0 {
-            continue;
-        }
-        if header.sh_type(endian) != SHT_NOBITS {
-            sizes.flash += size;
-        }
-        if flags.contains(SHF_WRITE) {
-            sizes.ram_static += size;
-        }
-        sizes.sections.push(Section {
-            name: section.name()?.to_owned(),
-            size,
-        });
-    }
-    Ok(sizes)
-}
-
-/// The names in an ELF file that tell what an image can do.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Symbols {
-    /// Functions of `core::panicking`, in plain writing
-    pub(crate) panicking: Vec<String>,
-    /// Sections of defmt's strings, and the control block of RTT
-    pub(crate) logging: Vec<String>,
-}
-
-impl Symbols {
-    /// Reads the names from an ELF file that is not stripped.
-    ///
-    /// # Errors
-    /// If it cannot be read, or has no symbols.
-    pub(crate) fn read(elf: &Path) -> Result<Symbols> {
-        let data = fs::read(elf).with_context(|| elf.display().to_string())?;
-        let file = parse(&data, elf)?;
-        let mut found = Symbols::default();
-        let mut count = 0;
-        for symbol in file.symbols() {
-            let name = symbol.name()?;
-            count += usize::from(!name.is_empty());
-            let plain = format!("{:#}", rustc_demangle::demangle(name));
-            if plain.contains("core::panicking") {
-                found.panicking.push(plain);
-            } else if name == "_SEGGER_RTT" {
-                found.logging.push(plain);
-            }
-        }
-        ensure!(count > 0, "{} is stripped", elf.display());
-        for section in file.sections() {
-            let name = section.name()?;
-            if name.starts_with(".defmt") || name.contains("rtt") {
-                found.logging.push(name.to_owned());
-            }
-        }
-        Ok(found)
-    }
-
-    fn complaints(&self) -> impl Iterator<Item = String> {
-        let panicking = self
-            .panicking
-            .iter()
-            .map(|name| format!("can panic: {name}"));
-        panicking.chain(self.logging.iter().map(|name| format!("logs: {name}")))
-    }
-}
-
-fn parse<'data>(data: &'data [u8], elf: &Path) -> Result<ElfFile32<'data, object::LittleEndian>> {
-    ElfFile32::parse(data).with_context(|| format!("{} is no 32-bit ELF file", elf.display()))
+    let elf = build(&image)?;
+    let said = demo::log(image.chip, &elf)?;
+    print!("{said}");
+    let expected = std::fs::read_to_string(setup::root().join("chips/demo/demo.out"))?;
+    ensure!(said == expected, "demo.out says otherwise:\n{expected}");
+    Ok(())
 }
 
 fn new_table(header: &[&str]) -> Table {
@@ -324,7 +260,7 @@ fn new_table(header: &[&str]) -> Table {
         .load_preset(presets::ASCII_MARKDOWN)
         .set_header(header);
     for (index, name) in header.iter().enumerate() {
-        if !["image", "profile", "section"].contains(name)
+        if !["image", "SHA-256", "section"].contains(name)
             && let Some(column) = table.column_mut(index)
         {
             column.set_cell_alignment(CellAlignment::Right);

@@ -213,7 +213,7 @@ impl Drop for Machine {
 }
 
 /// Reads standard output to its end: defmt's frames where there is a table, otherwise text.
-fn read_log(
+pub(crate) fn read_log(
     mut output: impl Read,
     table: Option<&Table>,
     mut on_line: impl FnMut(Line),

@@ -8,7 +8,6 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 
 mod clock;
-mod log;
 mod panic;
 mod uart;
 mod vectors;
@@ -18,16 +17,10 @@ use cortex_m as _;
 #[cfg(feature = "logging")]
 use defmt_semihosting as _;
 
-#[cfg(feature = "logging")]
-#[doc(hidden)]
-pub use defmt;
-
 pub use clock::{Timer, WallClock};
+pub use mavseal_demo::{DEMO_KEY, info, warn};
 pub use semihosting::process::exit;
 pub use uart::{Overrun, Uart};
-
-/// The key of the demonstrations. It is public: never use it.
-pub const DEMO_KEY: [u8; 32] = *include_bytes!("../demo.key");
 
 /// The board's peripherals.
 pub struct Board {

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use mavlink::Message;
 use mavlink::dialects::ardupilotmega::MavMessage;
 
-pub(super) type Frame = Vec<u8>;
+pub(crate) type Frame = Vec<u8>;
 
 /// A frame's checksum, by the message id in it; zero for a message that is not in the dialect.
 fn checksum(frame: &[u8], end: usize) -> [u8; 2] {
@@ -37,7 +37,7 @@ pub(super) fn repair(frame: &mut [u8]) {
 }
 
 /// `frame`, unsigned, as it looks signed with `key` on `link_id` at `ticks`.
-pub(super) fn sign(frame: &[u8], key: &[u8], link_id: u8, ticks: u64) -> Frame {
+pub(crate) fn sign(frame: &[u8], key: &[u8], link_id: u8, ticks: u64) -> Frame {
     let mut signed = frame.to_vec();
     signed[2] |= 1;
     repair(&mut signed);

@@ -1,0 +1,121 @@
+//! Builds the programs of `chips/`.
+
+use std::{env, fmt, path::PathBuf};
+
+use anyhow::{Context, Result, ensure};
+
+use crate::setup::{self, root};
+
+/// A microcontroller, each with a crate in `chips/`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Chip {
+    QemuM7,
+    Stm32c092rc,
+}
+
+impl Chip {
+    pub(crate) const ALL: [Chip; 2] = [Chip::QemuM7, Chip::Stm32c092rc];
+
+    /// Its directory in `chips/`.
+    pub(crate) fn directory(self) -> &'static str {
+        match self {
+            Chip::QemuM7 => "qemu-m7",
+            Chip::Stm32c092rc => "stm32c092rc",
+        }
+    }
+
+    pub(crate) fn target(self) -> &'static str {
+        match self {
+            Chip::QemuM7 => "thumbv7em-none-eabihf",
+            Chip::Stm32c092rc => "thumbv6m-none-eabi",
+        }
+    }
+}
+
+/// How SHA-256 is compiled: sha2's software backend with its rounds in a loop, or written out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rounds {
+    /// As `chips/.cargo/config.toml` has it.
+    Looped,
+    Unrolled,
+}
+
+impl Rounds {
+    /// Flags of the compiler that stand for those of the configuration.
+    const UNROLLED_FLAGS: &str = "--cfg=sha2_backend=\"soft\"";
+}
+
+impl fmt::Display for Rounds {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Rounds::Looped => "compact",
+            Rounds::Unrolled => "unrolled",
+        })
+    }
+}
+
+/// One program for a microcontroller, as cargo builds it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Image {
+    pub(crate) chip: Chip,
+    pub(crate) bin: &'static str,
+    pub(crate) profile: &'static str,
+    pub(crate) rounds: Rounds,
+    pub(crate) features: &'static [&'static str],
+    pub(crate) default_features: bool,
+}
+
+impl fmt::Display for Image {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.chip.directory(), self.bin)
+    }
+}
+
+/// Builds an image; gives the path of the ELF file.
+///
+/// # Errors
+/// If there is no compiler for it, or it does not compile.
+pub(crate) fn build(image: &Image) -> Result<PathBuf> {
+    let chips = root().join("chips");
+    let directory = chips.join(image.chip.directory());
+    let toolchain = setup::toolchain(image.chip.target())?;
+    let mut target_dir = match env::var_os("CARGO_TARGET_DIR") {
+        Some(shared) => std::path::absolute(shared)?.join("chips"),
+        None => chips.join("target"),
+    };
+    eprintln!(
+        "building {image} for {} by {toolchain}",
+        image.chip.target()
+    );
+    // From within its directory, so that the configuration in `chips/.cargo` is found.
+    let mut cargo = toolchain.cargo("build");
+    cargo
+        .current_dir(&directory)
+        .arg("--manifest-path")
+        .arg(directory.join("Cargo.toml"));
+    if image.rounds == Rounds::Unrolled {
+        target_dir = target_dir.join("unrolled");
+        cargo.env("CARGO_ENCODED_RUSTFLAGS", Rounds::UNROLLED_FLAGS);
+    }
+    let target_dir = toolchain.target_dir(&target_dir);
+    cargo.args(["--locked", "--quiet", "--bin", image.bin]);
+    cargo.args(["--profile", image.profile]);
+    cargo.arg("--target-dir").arg(&target_dir);
+    if !image.default_features {
+        cargo.arg("--no-default-features");
+    }
+    if !image.features.is_empty() {
+        cargo.arg("--features").arg(image.features.join(","));
+    }
+    let status = cargo
+        .status()
+        .with_context(|| format!("{toolchain} cannot be run"))?;
+    ensure!(status.success(), "{image} does not build by {toolchain}");
+    let profile = if image.profile == "dev" {
+        "debug"
+    } else {
+        image.profile
+    };
+    let folder = target_dir.join(image.chip.target()).join(profile);
+    Ok(folder.join(image.bin))
+}
