@@ -46,6 +46,13 @@ pub(super) enum Fate {
     Unviable,
 }
 
+impl Mutant {
+    /// Whether no test failed; those that did not end may have failed later, or never.
+    pub(super) const fn survived(&self) -> bool {
+        matches!(self.fate, Fate::Survived | Fate::Timeout)
+    }
+}
+
 /// How many mutants met which fate.
 #[derive(Default)]
 pub(super) struct Count {
@@ -182,10 +189,9 @@ impl Survivors {
     /// What survived without a reason; and if `all` mutants were tried, the reasons without a
     /// survivor.
     pub(super) fn faults(&self, tried: &BTreeMap<String, Mutant>, all: bool) -> Vec<String> {
-        let survived = |mutant: &Mutant| matches!(mutant.fate, Fate::Survived | Fate::Timeout);
         let mut faults = Vec::new();
         for (name, mutant) in tried {
-            if survived(mutant) && self.reason(name, mutant).is_none() {
+            if mutant.survived() && self.reason(name, mutant).is_none() {
                 let fate = format!("{:?}", mutant.fate).to_lowercase();
                 faults.push(format!("{fate}, unexplained: {name}: {}", mutant.line));
             }
@@ -196,7 +202,7 @@ impl Survivors {
                 .filter(|(name, mutant)| survivor.names(name, mutant));
             let fault = match named.next() {
                 None if all => "exists no longer",
-                Some((_, mutant)) if !survived(mutant) => "survives no longer",
+                Some((_, mutant)) if !mutant.survived() => "survives no longer",
                 _ if named.next().is_some() => "is not one mutant",
                 _ => continue,
             };

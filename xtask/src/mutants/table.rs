@@ -57,10 +57,9 @@ fn render(root: &Path, sources: &str) -> Result<String> {
 
 /// How many mutants met which fate, by package.
 pub(super) fn rows(results: &Results) -> String {
-    let mut text =
-        "| package | mutants | killed | survived, explained | timeout | unviable | score |\n\
+    let mut text = "| package | mutants | killed | survived | timeout | unviable | score |\n\
                     |---|---|---|---|---|---|---|\n"
-            .to_owned();
+        .to_owned();
     let packages = CORES.map(|package| (package, results.count(Some(package))));
     for (package, count) in packages.into_iter().chain([("both", results.count(None))]) {
         let Count {
@@ -80,13 +79,17 @@ pub(super) fn rows(results: &Results) -> String {
     text
 }
 
-/// What may survive, and why.
+/// What survived, and why it may.
 fn survivors(results: &Results, survivors: &Survivors) -> String {
     let mut text = "| survives | as | because |\n|---|---|---|\n".to_owned();
     for (name, mutant) in &results.mutants {
-        if let Some(reason) = survivors.reason(name, mutant) {
+        if mutant.survived() {
             let line = format!("`{}`", mutant.line);
-            row(&mut text, &[name, &line, reason]);
+            let reason = survivors.reason(name, mutant);
+            row(
+                &mut text,
+                &[name, &line, reason.unwrap_or("**unexplained**")],
+            );
         }
     }
     text
