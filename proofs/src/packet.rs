@@ -137,7 +137,25 @@ mod twins {
     use mavlink_signing::dialect::crc_extra;
     use proptest::prelude::*;
 
-    /// Streams of frames, damaged ones, magic bytes and noise.
+    /// A HEARTBEAT of MAVLink 1.
+    const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
+
+    /// Noise is passed over as far as the next packet, of either version, and no farther.
+    #[test]
+    fn w3_behind_noise() {
+        let frame = Frame::new(crate::HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        let noise = b"noise".to_vec();
+        for packet in [frame.as_bytes(), &MAVLINK1] {
+            let stream = [&noise, packet].concat();
+            for resync in [Resync::NextByte, Resync::AnnouncedEnd] {
+                let found = decode(resync, &stream, &[]);
+                assert_eq!(found, [Ok(packet.to_vec())]);
+                cut_does_not_matter(resync, &stream, &[1]);
+            }
+        }
+    }
+
+    /// Streams of packets of both versions, damaged ones, magic bytes and noise.
     fn stream() -> impl Strategy<Value = Vec<u8>> {
         let bytes = proptest::collection::vec(any::<u8>(), 0..40);
         let frame = (
@@ -151,7 +169,8 @@ mod twins {
                 bytes
             });
         let magic = Just(vec![0xFD, 0xFE]);
-        proptest::collection::vec(prop_oneof![bytes, frame, magic], 0..12)
+        let mavlink1 = Just(MAVLINK1.to_vec());
+        proptest::collection::vec(prop_oneof![bytes, frame, magic, mavlink1], 0..12)
             .prop_map(|parts| parts.concat())
     }
 

@@ -80,23 +80,28 @@ impl Project {
             .map_or("", |[proof, _]| proof)
     }
 
-    /// Hash of what the fate of `mutant` depends on.
-    pub(crate) fn sources_of_mutant(&self, mutant: &Mutant) -> Result<String> {
+    /// Hashes of what decides whether the harnesses, and whether the twins, notice `mutant`.
+    pub(crate) fn sources_of_mutant(&self, mutant: &Mutant) -> Result<[String; 2]> {
+        let change = serde_json::to_string(mutant)?;
+        let [mut harnesses, mut twins] = [change.clone(), change];
         let kills = mutant.kills.iter();
-        let harnesses = kills.filter_map(|name| self.found.harness(name));
-        let mut packages: BTreeSet<_> = harnesses.map(|h| h.package.as_str()).collect();
-        let mut text = serde_json::to_string(mutant)?;
+        let proving = kills.filter_map(|name| self.found.harness(name));
+        let packages: BTreeSet<_> = proving.map(|h| h.package.as_str()).collect();
+        for [proof, _] in packages.iter().filter_map(|&name| self.prints.get(name)) {
+            harnesses += proof;
+        }
+        let mut packages = BTreeSet::new();
         let prefixes = mutant.twins();
-        for twins in prefixes.iter().flat_map(|prefix| self.twins(prefix)) {
-            packages.insert(twins.package);
-            if let Some(file) = twins.doctests {
-                text += &fs::read_to_string(self.metadata.workspace_root.join(file))?;
+        for found in prefixes.iter().flat_map(|prefix| self.twins(prefix)) {
+            packages.insert(found.package);
+            if let Some(file) = found.doctests {
+                twins += &fs::read_to_string(self.metadata.workspace_root.join(file))?;
             }
         }
         for [_, tests] in packages.iter().filter_map(|&name| self.prints.get(name)) {
-            text += tests;
+            twins += tests;
         }
-        Ok(hash_of(&text))
+        Ok([hash_of(&harnesses), hash_of(&twins)])
     }
 
     /// The twins `prefix*`, by package: each to be run on its own.

@@ -9,7 +9,7 @@ use super::{
     kani::{self, Verdict},
     plan::{Canary, Mutant, id_of},
     process,
-    results::{Fate, Results, Trial, today},
+    results::{Fate, Fates, Results, Trial},
     table,
     workshop::Workshop,
 };
@@ -40,9 +40,8 @@ pub(crate) fn run(run: &Run) -> Result<()> {
             Some(Canary::Survives) => Fate::Survived,
             _ => Fate::Killed,
         };
-        let mut fates = trial.harnesses.values().chain(trial.twins.values());
         ensure!(
-            fates.all(|fate| *fate == expected),
+            trial.fates().all(|(_, fate)| *fate == expected),
             "the run is void: canary {} should be {expected:?}: {}",
             canary.name,
             summary(&trial)
@@ -75,13 +74,8 @@ pub(crate) fn run(run: &Run) -> Result<()> {
 /// Adds a trial of some harnesses and twins to what is known of the others.
 fn merge(results: &mut Results, name: &str, trial: Trial) {
     let known = results.mutants.entry(name.to_owned()).or_default();
-    if known.sources == trial.sources {
-        known.harnesses.extend(trial.harnesses);
-        known.twins.extend(trial.twins);
-        known.date = trial.date;
-    } else {
-        *known = trial;
-    }
+    known.harnesses.merge(trial.harnesses);
+    known.twins.merge(trial.twins);
 }
 
 /// What notices a mutant must not complain about the code as it is. Says which harnesses do; what
@@ -128,15 +122,14 @@ fn attempt(
     let after = mutant.apply(&before).map_err(anyhow::Error::msg)?;
     fs::write(&path, after)?;
 
+    let [by_harnesses, by_twins] = run.project.sources_of_mutant(mutant)?;
     let mut trial = Trial {
-        date: today()?,
-        sources: run.project.sources_of_mutant(mutant)?,
-        ..Trial::default()
+        harnesses: Fates::new(by_harnesses)?,
+        twins: Fates::new(by_twins)?,
     };
     for prefix in prefixes {
-        trial
-            .twins
-            .insert(prefix.clone(), twins(run, workshop, prefix)?);
+        let fate = twins(run, workshop, prefix)?;
+        trial.twins.fates.insert(prefix.clone(), fate);
     }
     if run.kani.is_some() {
         for name in harnesses {
@@ -145,7 +138,7 @@ fn attempt(
             } else {
                 proof(run, workshop, name)?
             };
-            trial.harnesses.insert(name.clone(), fate);
+            trial.harnesses.fates.insert(name.clone(), fate);
         }
     }
     run.snapshot.restore(workshop)?;
@@ -232,8 +225,8 @@ fn fate_of_tests(output: &str, ours: &str, success: bool) -> Option<Fate> {
 }
 
 fn summary(trial: &Trial) -> String {
-    let harnesses = trial.harnesses.iter();
-    let twins = trial.twins.iter();
+    let harnesses = trial.harnesses.fates.iter();
+    let twins = trial.twins.fates.iter();
     let fates = harnesses
         .map(|(name, fate)| format!("{name} {fate:?}"))
         .chain(twins.map(|(prefix, fate)| format!("twins {prefix}* {fate:?}")));

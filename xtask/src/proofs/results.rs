@@ -60,14 +60,20 @@ pub(crate) struct Conditions {
     pub(crate) date: String,
 }
 
-/// What became of a mutant.
+/// What became of a mutant. A change of a twin makes what the harnesses noticed no less true.
 #[derive(Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Trial {
+    /// By function name.
+    pub(crate) harnesses: Fates,
+    /// By beginning of their names.
+    pub(crate) twins: Fates,
+}
+
+/// Whether harnesses or twins noticed a mutant.
+#[derive(Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Fates {
     pub(crate) date: String,
-    /// By function name: whether the harness noticed.
-    pub(crate) harnesses: BTreeMap<String, Fate>,
-    /// By beginning of their names: whether the twins noticed.
-    pub(crate) twins: BTreeMap<String, Fate>,
+    pub(crate) fates: BTreeMap<String, Fate>,
     /// Hash of what was changed, how, and of what should notice.
     pub(crate) sources: String,
 }
@@ -127,8 +133,36 @@ impl Proof {
 impl Trial {
     /// Whether all that belongs to the property `id` noticed; `None` if something was not tried.
     pub(crate) fn killed(&self) -> bool {
-        let mut fates = self.harnesses.values().chain(self.twins.values());
-        fates.all(|fate| *fate == Fate::Killed)
+        self.fates().all(|(_, fate)| *fate == Fate::Killed)
+    }
+
+    /// What each harness and each group of twins made of it.
+    pub(crate) fn fates(&self) -> impl Iterator<Item = (&String, &Fate)> {
+        self.harnesses.fates.iter().chain(&self.twins.fates)
+    }
+}
+
+impl Fates {
+    /// Of what is about to be tried.
+    pub(crate) fn new(sources: String) -> Result<Self> {
+        Ok(Self {
+            date: today()?,
+            fates: BTreeMap::new(),
+            sources,
+        })
+    }
+
+    /// Adds what was tried since; what is known stays if it is of the same sources.
+    pub(crate) fn merge(&mut self, newer: Self) {
+        if newer.fates.is_empty() {
+            return;
+        }
+        if self.sources == newer.sources {
+            self.fates.extend(newer.fates);
+            self.date = newer.date;
+        } else {
+            *self = newer;
+        }
     }
 }
 

@@ -213,16 +213,18 @@ fn fate(project: &Project, results: &Results, mutant: &Mutant, id: &str) -> Resu
     let Some(trial) = results.mutants.get(&mutant.name) else {
         return Ok("not yet run");
     };
-    if trial.sources != project.sources_of_mutant(mutant)? {
+    let [by_harnesses, by_twins] = project.sources_of_mutant(mutant)?;
+    let proved = mutant.kills.is_empty() || trial.harnesses.sources == by_harnesses;
+    if !proved || trial.twins.sources != by_twins {
         return Ok("stale");
     }
     let prefix = id.to_lowercase() + "_";
     let harnesses = mutant
         .kills
         .iter()
-        .map(|name| (name, trial.harnesses.get(name)));
+        .map(|name| (name, trial.harnesses.fates.get(name)));
     let twins = mutant.twins();
-    let twins = twins.iter().map(|name| (name, trial.twins.get(name)));
+    let twins = twins.iter().map(|name| (name, trial.twins.fates.get(name)));
     let fates = harnesses
         .chain(twins)
         .filter(|(name, _)| name.starts_with(&prefix));
