@@ -13,9 +13,10 @@ fn main() -> ! {
     static mut MEMORY: Memory = Memory::new();
     let mut board = Board::start();
     let result = run(MEMORY, |frame| board.serial.send(frame));
-    match result {
-        Ok(()) => board.light.on(),
-        Err(_) => warn!("The demonstration failed"),
+    if result.is_ok() {
+        board.light.on();
+    } else {
+        warn!("The demonstration failed");
     }
     #[cfg(feature = "logging")]
     semihosting::process::exit(i32::from(result.is_err()));
