@@ -47,7 +47,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         firmware::run(&firmware::Options::default())
     });
     checks.step(
-        "firmware that may panic or log is refused",
+        "firmware that may panic, log or sign wrongly is refused",
         firmware::checks_can_fail,
     );
     checks.step("wrong tags refused in constant time", || {

@@ -192,7 +192,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Shows that the checks can fail: an image with a log is found to log, and to panic.
+/// Shows that the checks can fail: an image with a log is found to log, and to panic, and one that
+/// hashes with a wrong constant is found to sign wrongly.
 ///
 /// # Errors
 /// If it is not.
@@ -205,6 +206,15 @@ pub(crate) fn checks_can_fail() -> Result<()> {
         "refused, as it must be: {}",
         found.complaints().next().unwrap_or_default()
     );
+
+    for chip in Chip::ALL {
+        let mut wrong = Program::read(&build(&demo(chip, Rounds::Looped))?)?;
+        let constants = wrong.find("sha2::consts::K32")?;
+        wrong.flash_mut(constants)?[0] ^= 1;
+        let error = demo::measure(chip, &wrong).err();
+        let error = error.context("a wrong hash was not found out")?;
+        println!("a wrong hash is found out: {error:#}");
+    }
     Ok(())
 }
 
