@@ -96,15 +96,11 @@ fn hex(bytes: &[u8]) -> String {
 /// The parts of the workspace's files that change what is compiled.
 fn workspace(root: &Path) -> Result<Value> {
     let mut manifest: Value = toml::from_str(&fs::read_to_string(root.join("Cargo.toml"))?)?;
-    let profiles = manifest["profile"].as_object_mut();
-    for profile in profiles
-        .into_iter()
-        .flat_map(|profiles| profiles.values_mut())
-    {
+    if let Some(profiles) = manifest["profile"].as_object_mut() {
         // How single packages are optimised changes no result.
-        profile
-            .as_object_mut()
-            .and_then(|profile| profile.remove("package"));
+        let tables = profiles.values_mut().filter_map(Value::as_object_mut);
+        tables.for_each(|profile| drop(profile.remove("package")));
+        profiles.retain(|_, profile| profile.as_object().is_none_or(|keys| !keys.is_empty()));
     }
     let config = fs::read_to_string(root.join(".cargo/config.toml")).unwrap_or_default();
     let mut config: Value = toml::from_str(&config)?;
