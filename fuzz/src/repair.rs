@@ -3,10 +3,9 @@
 //! So fuzzing reaches what lies behind those checks, and the code under test makes them all, as it
 //! does outside. The arithmetic is that of other people's crates.
 
-use std::cell::RefCell;
 use std::sync::LazyLock;
 
-use crc::{CRC_16_MCRF4XX, Crc};
+use crc::{CRC_16_MCRF4XX, Crc, Table};
 use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::field::{
     CHECKSUM_SIZE, HEADER_SIZE, HEADER_SIZE_V1, MAGIC, MAGIC_V1, MAX_PAYLOAD_SIZE, SIGNATURE_SIZE,
@@ -21,10 +20,10 @@ pub const SECRET: [u8; 32] = *b"the key of every fuzz target....";
 pub static KEY: LazyLock<SigningKey<Hmac>> =
     LazyLock::new(|| SigningKey::new(&SECRET).expect("a key"));
 
-/// The checksum, by the crate `crc`.
+/// The checksum, by the crate `crc`, 16 bytes at a time.
 #[must_use]
 pub fn checksum(covered: &[u8], crc_extra: u8) -> u16 {
-    static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_MCRF4XX);
+    static CRC: Crc<u16, Table<16>> = Crc::<u16, Table<16>>::new(&CRC_16_MCRF4XX);
     let mut digest = CRC.digest();
     digest.update(covered);
     digest.update(&[crc_extra]);
@@ -32,21 +31,10 @@ pub fn checksum(covered: &[u8], crc_extra: u8) -> u16 {
 }
 
 /// The tag, by the profile itself, which is fast; `diff_hmac` compares it with another.
-///
-/// A target asks twice about the same bytes, when it makes a frame and when it is asked for the
-/// verdict: the last answer is kept.
 #[must_use]
 pub fn tag(covered: &[u8]) -> Tag {
     static PROFILE: LazyLock<Hmac> = LazyLock::new(|| Hmac::new(&SECRET));
-    thread_local!(static LAST: RefCell<(Vec<u8>, Tag)> = const { RefCell::new((Vec::new(), [0; 6])) });
-    LAST.with_borrow_mut(|(known, tag)| {
-        if known.is_empty() || known != covered {
-            *tag = PROFILE.tag(covered);
-            known.clear();
-            known.extend(covered);
-        }
-        *tag
-    })
+    PROFILE.tag(covered)
 }
 
 /// What kind of packet bytes are made into.
@@ -154,13 +142,14 @@ impl Parts {
         }
     }
 
-    /// Makes the tag right, if there is a signature.
-    pub fn repair_tag(self, packet: &mut [u8]) {
-        if self.signature.is_some() {
+    /// Makes the tag right, if there is a signature: the tag.
+    pub fn repair_tag(self, packet: &mut [u8]) -> Option<Tag> {
+        self.signature.map(|_| {
             let at = self.end - TAG_SIZE;
             let tag = tag(&packet[..at]);
             packet[at..self.end].copy_from_slice(&tag);
-        }
+            tag
+        })
     }
 }
 

@@ -1,6 +1,6 @@
 //! Targets about single values: keys and tags, checksums, message ids, stamps.
 
-use mavlink_signing::{Hmac, KEY_SIZE, KeyError, Profile, SigningKey};
+use mavlink_signing::{Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Timestamp};
 use mavseal_proofs::{checksum, replay, stamp, table};
 
 use crate::input::{Message, Moment, Receiver, Stamped, input};
@@ -64,7 +64,9 @@ pub fn checksum_table(input: &Checked<'_>) {
         mavlink_signing::crc::checksum(input.covered, input.byte),
         repair::checksum(input.covered, input.byte)
     );
-    let _ = table::found_if_there(input.message.id());
+    let id = input.message.id();
+    assert_eq!(MessageId::new(id.get()), Some(id));
+    let _ = table::found_if_there(id);
 }
 
 input! {
@@ -83,6 +85,12 @@ input! {
 /// Two stamps of a sender (T1), and one step of a receiver that is given the mark (R1).
 pub fn stamps(input: &Clocks) {
     let now = input.now.map(Moment::timestamp);
+    for moment in now {
+        assert_eq!(
+            Timestamp::from_unix_micros(moment.unix_micros()),
+            Some(moment)
+        );
+    }
     let Stamped { link_id, moment } = input.sender;
     reached(stamp::two_stamps(link_id, moment.timestamp(), now));
     replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);

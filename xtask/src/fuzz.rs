@@ -1,10 +1,15 @@
 //! `cargo xtask fuzz`: seeds, smoke tests, campaigns, and what they show.
 
 mod campaign;
+mod coverage;
 mod engine;
+mod mutants;
 mod plan;
+mod replay;
 mod results;
+mod scan;
 mod seeds;
+mod speed;
 mod table;
 
 use std::path::PathBuf;
@@ -43,6 +48,16 @@ enum Verb {
         #[arg(long, default_value_t = 60.0)]
         minutes: f64,
     },
+    /// Every target over seeds and corpora: which lines and errors of the cores they reach
+    Coverage,
+    /// Break the code in known ways, which targets must find
+    Mutants {
+        /// Only this mutant; may be repeated
+        #[arg(long, value_name = "NAME")]
+        mutant: Vec<String>,
+    },
+    /// A target against one that does nothing
+    Speed,
     /// Write the inputs that fuzzing begins with
     Seeds {
         /// Write nothing; fail if one differs from what is committed
@@ -65,13 +80,16 @@ enum Verb {
 /// If a target fails, or a bar is missed; which has been printed.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let jobs = options.jobs.unwrap_or_else(cores).max(1);
-    match options.verb {
+    match &options.verb {
         Verb::Table { check: true } => table::check(&root()),
         Verb::Table { check: false } => table::write(&root()),
-        Verb::Seeds { check } => seeds::seeds(check),
+        Verb::Seeds { check } => seeds::seeds(*check),
         Verb::Minimise => seeds::minimise(&Fuzzer::new(options)?),
+        Verb::Coverage => coverage::coverage(),
+        Verb::Mutants { mutant } => mutants::mutants(&Fuzzer::new(options)?, mutant, jobs),
+        Verb::Speed => speed::speed(&Fuzzer::new(options)?),
         Verb::Smoke => campaign::smoke(&Fuzzer::new(options)?, jobs),
-        Verb::Campaign { minutes } => campaign::campaign(&Fuzzer::new(options)?, minutes, jobs),
+        Verb::Campaign { minutes } => campaign::campaign(&Fuzzer::new(options)?, *minutes, jobs),
     }
 }
 

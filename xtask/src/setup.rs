@@ -17,7 +17,7 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use xshell::{Shell, cmd};
 
-pub(crate) use fuzz::{CargoFuzz, cargo_fuzz};
+pub(crate) use fuzz::{CargoFuzz, cargo_fuzz, llvm_tools, rustc_in_use};
 
 /// The machine all firmware for QEMU is built for: MPS2 with the AN500 image, a Cortex-M7.
 pub(crate) const MACHINE: &str = "mps2-an500";

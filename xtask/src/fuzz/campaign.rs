@@ -50,7 +50,7 @@ pub(super) fn campaign(fuzzer: &Fuzzer, minutes: f64, jobs: usize) -> Result<()>
         jobs,
         targets,
     };
-    let run = Run::new(&fuzzer.root, &fuzzer.cargo_fuzz, outcome)?;
+    let run = Run::new(&fuzzer.root, fuzzer.cargo_fuzz.rustc()?, outcome)?;
     Results::change(&fuzzer.root, |results| results.campaign = Some(run))?;
     super::table::write(&fuzzer.root)?;
     ensure!(found.is_empty(), "found something: {found}");

@@ -18,6 +18,11 @@ use super::plan::Target;
 /// there is, in the libraries that they use, ClusterFuzzLite runs with the sanitizer.
 pub(super) const SANITIZER: &str = "none";
 
+/// How targets are built: with debug assertions in the cores only, which `fuzz/Cargo.toml` asks for, and
+/// without a look at each comparison, which halves the speed; seeds and dictionary know what to compare
+/// with.
+const OPTIMISED: [&str; 2] = ["--release", "--no-trace-compares"];
+
 /// How long one input may take.
 const TIMEOUT_SECONDS: u64 = 10;
 
@@ -89,7 +94,10 @@ impl Engine {
         let mut cargo = self.cargo_fuzz.command();
         cargo.current_dir(&self.tree);
         cargo.args([verb, "--fuzz-dir", "fuzz", "--sanitizer", SANITIZER]);
-        cargo.arg("--target-dir").arg(&self.target_dir);
+        cargo
+            .args(OPTIMISED)
+            .arg("--target-dir")
+            .arg(&self.target_dir);
         cargo
     }
 
@@ -126,6 +134,20 @@ impl Engine {
             .collect()
     }
 
+    /// A target with the options of `session`.
+    fn prepare(&self, name: &str, max_len: usize, session: &Session) -> Result<Command> {
+        let mut program = self.program(name, max_len)?;
+        match session.time.as_secs() {
+            0 => program.arg("-runs=0"),
+            seconds => program.arg(format!("-max_total_time={seconds}")),
+        };
+        program.args(&session.options).args(&session.corpus);
+        for folder in &session.corpus {
+            fs::create_dir_all(folder)?;
+        }
+        Ok(program)
+    }
+
     /// Runs a target, and tells how far it is whenever it says so.
     ///
     /// # Errors
@@ -137,20 +159,10 @@ impl Engine {
         session: &Session,
         mut progress: impl FnMut(Status),
     ) -> Result<Ended> {
-        let mut program = self.program(name, max_len)?;
-        match session.time.as_secs() {
-            0 => program.arg("-runs=0"),
-            seconds => program.arg(format!("-max_total_time={seconds}")),
-        };
-        program.args(&session.options).args(&session.corpus);
-        for folder in &session.corpus {
-            fs::create_dir_all(folder)?;
-        }
+        let mut program = self.prepare(name, max_len, session)?;
         let start = Instant::now();
-        let mut child = program
-            .stderr(Stdio::piped())
-            .spawn()
-            .with_context(|| name.to_owned())?;
+        let child = program.stderr(Stdio::piped()).spawn();
+        let mut child = child.with_context(|| name.to_owned())?;
         let mut reader = Reader::default();
         let stderr = BufReader::new(child.stderr.take().context("its messages")?);
         for line in stderr.split(b'\n') {
@@ -163,6 +175,26 @@ impl Engine {
             seconds: start.elapsed().as_secs_f64(),
             finding: (!success).then(|| reader.finding()),
         })
+    }
+
+    /// Executions of a target in a second of the processor's time: other programs that run meanwhile do
+    /// not count.
+    ///
+    /// # Errors
+    /// If the target fails.
+    pub(super) fn speed(&self, name: &str, max_len: usize, session: &Session) -> Result<f64> {
+        let program = self.prepare(name, max_len, session)?;
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "\"$0\" \"$@\" && times"]);
+        shell.arg(program.get_program()).args(program.get_args());
+        let output = shell.stdin(Stdio::null()).output().context("sh")?;
+        ensure!(output.status.success(), "{name} failed");
+        let mut reader = Reader::default();
+        let said = String::from_utf8_lossy(&output.stderr);
+        said.lines().for_each(|line| reader.read(line));
+        let times = String::from_utf8_lossy(&output.stdout).into_owned();
+        let seconds = children_seconds(&times).with_context(|| format!("times: {times}"))?;
+        Ok(reader.status.executions as f64 / seconds)
     }
 
     /// Makes an input as small as it can while the target still fails on it.
@@ -257,9 +289,29 @@ impl Status {
     }
 }
 
+/// The processor's time of a shell's children, in its words: `0m0.01s 0m0.00s`, then theirs.
+fn children_seconds(times: &str) -> Option<f64> {
+    let (minutes, seconds) = times
+        .lines()
+        .nth(1)?
+        .split_whitespace()
+        .next()?
+        .split_once('m')?;
+    let seconds: f64 = seconds.strip_suffix('s')?.parse().ok()?;
+    let minutes: f64 = minutes.parse().ok()?;
+    Some(60.0 * minutes + seconds)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_a_shell_says_of_its_children() {
+        let seconds = children_seconds("0m0.01s 0m0.00s\n1m2.50s 0m0.25s\n");
+        assert_eq!(seconds, Some(62.5));
+        assert_eq!(children_seconds("0m0.01s 0m0.00s\n"), None);
+    }
 
     #[test]
     fn what_the_engine_says() {

@@ -1,6 +1,10 @@
 //! What is fuzzed: `fuzz/targets.toml`.
 
-use std::{collections::BTreeSet, fs, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::Path,
+};
 
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
@@ -23,18 +27,29 @@ pub(super) struct Target {
     pub(super) max_len: usize,
 }
 
+/// `fuzz/targets.toml`.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Plan {
+    #[serde(rename = "target")]
+    targets: Vec<Target>,
+    /// Why no target can find a mutant, by the mutant's name.
+    exempt: BTreeMap<String, String>,
+}
+
+impl Plan {
+    fn load(root: &Path) -> Result<Self> {
+        let text = fs::read_to_string(root.join(TARGETS)).context(TARGETS)?;
+        toml::from_str(&text).context(TARGETS)
+    }
+}
+
 /// Every target.
 ///
 /// # Errors
 /// If one is without entry, or an entry without target.
 pub(super) fn targets(root: &Path) -> Result<Vec<Target>> {
-    #[derive(Deserialize)]
-    #[serde(deny_unknown_fields)]
-    struct Targets {
-        target: Vec<Target>,
-    }
-    let text = fs::read_to_string(root.join(TARGETS)).context(TARGETS)?;
-    let targets = toml::from_str::<Targets>(&text).context(TARGETS)?.target;
+    let targets = Plan::load(root)?.targets;
     let mut listed: BTreeSet<_> = targets.iter().map(|target| target.name.clone()).collect();
     listed.insert(EMPTY.to_owned());
     let mut written = BTreeSet::new();
@@ -52,4 +67,12 @@ pub(super) fn targets(root: &Path) -> Result<Vec<Target>> {
         "{TARGETS} and fuzz/fuzz_targets differ in {differ}"
     );
     Ok(targets)
+}
+
+/// Mutants of `proofs/mutants.toml` that no target can find, each with the reason.
+///
+/// # Errors
+/// If the file cannot be read.
+pub(super) fn exempt(root: &Path) -> Result<BTreeMap<String, String>> {
+    Ok(Plan::load(root)?.exempt)
 }

@@ -1,6 +1,6 @@
 //! `fuzz/results.json`: what was run, on which sources, with what outcome.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, fmt, fs, ops::Add, path::Path};
 
 use anyhow::{Context, Result};
 use cargo_metadata::MetadataCommand;
@@ -10,7 +10,6 @@ use crate::proofs::{
     fingerprint::{Depth, fingerprint, hash_of, meaning, rust_files},
     results::{cores, today},
 };
-use crate::setup::CargoFuzz;
 
 const RESULTS: &str = "fuzz/results.json";
 
@@ -56,7 +55,7 @@ pub(super) struct Fuzzed {
 }
 
 /// What seeds and corpora reach.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 pub(super) struct Coverage {
     /// By folder of the project, all targets together.
     pub(super) folders: BTreeMap<String, Lines>,
@@ -85,7 +84,7 @@ pub(super) struct Speed {
 }
 
 /// What became of the mutants of `proofs/mutants.toml`.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 pub(super) struct Mutants {
     pub(super) mutants: BTreeMap<String, Fate>,
 }
@@ -121,12 +120,44 @@ impl Results {
     }
 }
 
+impl Speed {
+    /// The part of the empty target's speed.
+    pub(super) fn ratio(&self) -> f64 {
+        self.per_second as f64 / self.empty_per_second.max(1) as f64
+    }
+}
+
+impl Lines {
+    /// The part that is reached.
+    pub(super) fn share(self) -> f64 {
+        self.reached as f64 / self.of.max(1) as f64
+    }
+}
+
+impl Add for Lines {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            reached: self.reached + other.reached,
+            of: self.of + other.of,
+        }
+    }
+}
+
+impl fmt::Display for Lines {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { reached, of } = self;
+        write!(f, "{reached} of {of} lines ({:.1} %)", 100.0 * self.share())
+    }
+}
+
 impl<T> Run<T> {
-    /// A run that has just ended.
-    pub(super) fn new(root: &Path, cargo_fuzz: &CargoFuzz, outcome: T) -> Result<Self> {
+    /// A run that has just ended, with a compiler of this version.
+    pub(super) fn new(root: &Path, rustc: String, outcome: T) -> Result<Self> {
         Ok(Self {
             date: today()?,
-            rustc: cargo_fuzz.rustc()?,
+            rustc,
             cores: cores(),
             sources: sources(root)?,
             outcome,

@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 use anyhow::Result;
 
 use super::plan::{self, Target};
-use super::results::{Campaign, Coverage, Fate, Lines, Mutants, Results, Run, Speed, sources};
+use super::results::{Campaign, Coverage, Fate, Mutants, Results, Run, Speed, sources};
 use crate::page::{Page, row};
 
 /// The part of the page that is written here.
@@ -133,30 +133,27 @@ fn campaign(text: &mut String, run: &Run<Campaign>, targets: &[Target]) {
 }
 
 fn coverage(text: &mut String, coverage: &Coverage) {
-    let percent = |lines: &Lines| {
-        let Lines { reached, of } = *lines;
-        format!(
-            "{reached} of {of} ({:.1} %)",
-            100.0 * reached as f64 / of as f64
-        )
-    };
-    text.push_str("| lines of | reached |\n|---|---|\n");
+    text.push_str("| of | reached |\n|---|---|\n");
     for (folder, lines) in &coverage.folders {
         row(
             text,
-            &[&format!("`{folder}`, all targets"), &percent(lines)],
+            &[&format!("`{folder}`, all targets"), &lines.to_string()],
         );
     }
     for (target, lines) in &coverage.targets {
-        row(text, &[&format!("both, `{target}`"), &percent(lines)]);
+        row(text, &[&format!("both, `{target}`"), &lines.to_string()]);
     }
     let missed = |missed: &[String]| match missed {
         [] => "none".to_owned(),
         missed => missed.join(", "),
     };
+    text.push_str(
+        "\nNot counted: `Display` and `Debug`, and the private `const fn` of `dialect/mod.rs`, which the \
+         compiler runs and no program can.\n",
+    );
     let _ = writeln!(
         text,
-        "\nLines that no target reaches: {}.",
+        "Lines that no target reaches: {}.",
         missed(&coverage.missed)
     );
     let _ = writeln!(
@@ -168,13 +165,9 @@ fn coverage(text: &mut String, coverage: &Coverage) {
 }
 
 fn speed(text: &mut String, speed: &Speed) {
-    let Speed {
-        target,
-        per_second,
-        empty_per_second,
-    } = speed;
-    let ratio = *per_second as f64 / *empty_per_second as f64;
-    let (per_second, empty) = (grouped(*per_second), grouped(*empty_per_second));
+    let ratio = speed.ratio();
+    let target = &speed.target;
+    let [per_second, empty] = [speed.per_second, speed.empty_per_second].map(grouped);
     let _ = writeln!(
         text,
         "`{target}`: {per_second} executions a second; a target that does nothing, with the same \
@@ -186,6 +179,10 @@ fn mutants(text: &mut String, mutants: &Mutants) {
     text.push_str("| mutant | found by | after |\n|---|---|---|\n");
     for (name, fate) in &mutants.mutants {
         let (target, seconds) = match fate {
+            Fate::Found {
+                target,
+                seconds: 0.0,
+            } => (format!("`{target}`"), "a seed".to_owned()),
             Fate::Found { target, seconds } => (format!("`{target}`"), format!("{seconds:.1} s")),
             Fate::Survived => ("**none**".to_owned(), "-".to_owned()),
             Fate::Exempt(reason) => (reason.clone(), "-".to_owned()),

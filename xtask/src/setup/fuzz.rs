@@ -1,6 +1,6 @@
 //! What fuzzing needs: a compiler, cargo-fuzz, and a C++ compiler for the engine.
 
-use std::{env, process::Command};
+use std::{env, path::PathBuf, process::Command};
 
 use anyhow::{Context, Result, ensure};
 use xshell::{Shell, cmd};
@@ -93,20 +93,39 @@ impl CargoFuzz {
     /// # Errors
     /// If it cannot be asked.
     pub(crate) fn rustc(&self) -> Result<String> {
-        let mut rustc = match &self.nightly {
-            Some(nightly) => {
-                let mut rustup = Command::new("rustup");
-                rustup.args(["run", nightly, "rustc"]);
-                rustup
-            }
-            None => Command::new("rustc"),
+        let Some(nightly) = &self.nightly else {
+            return rustc_in_use();
         };
-        let output = rustc.arg("--version").output().context("rustc")?;
-        Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+        let sh = Shell::new()?;
+        let version = cmd!(sh, "rustup run {nightly} rustc --version").quiet();
+        Ok(version.read()?)
     }
 
     fn is_there(&self) -> bool {
         let output = self.command().arg("--version").output();
         output.is_ok_and(|output| output.status.success())
     }
+}
+
+/// The compiler in use, by its version.
+///
+/// # Errors
+/// If it cannot be asked.
+pub(crate) fn rustc_in_use() -> Result<String> {
+    Ok(Rustc::in_use()?.to_string())
+}
+
+/// The folder of `llvm-profdata` and `llvm-cov`, of the version that the compiler in use has.
+///
+/// # Errors
+/// If rustup's component is missing and cannot be installed.
+pub(crate) fn llvm_tools() -> Result<PathBuf> {
+    let rustc = Rustc::in_use()?;
+    let folder = rustc.rustlib().join(&rustc.host).join("bin");
+    if !folder.join("llvm-cov").is_file() {
+        let sh = Shell::new()?;
+        let add = cmd!(sh, "rustup component add llvm-tools").run();
+        add.context("llvm-cov is missing: rustup component add llvm-tools")?;
+    }
+    Ok(folder)
 }

@@ -1,0 +1,227 @@
+//! `cargo xtask fuzz mutants`: a target must find each mutant of `proofs/mutants.toml`.
+
+use std::{
+    fs,
+    sync::{Mutex, PoisonError},
+    thread,
+    time::Duration,
+};
+
+use anyhow::{Context, Result, bail, ensure};
+
+use super::{
+    Fuzzer,
+    engine::{Engine, Session},
+    plan::{self, Target},
+    replay::Replay,
+    results::{Fate, Mutants, Results, Run},
+    table,
+};
+use crate::proofs::{
+    plan::{Canary, Mutant},
+    process::{self, Limits},
+    results::tenths,
+    workshop::{Snapshot, Workshop},
+};
+
+/// How long targets may look for one mutant, all together.
+const TIME: Duration = Duration::from_secs(60);
+
+/// Puts back every mutant in a copy of the sources; with `only`, those.
+///
+/// # Errors
+/// If one is not found, or something is found where nothing is broken.
+pub(super) fn mutants(fuzzer: &Fuzzer, only: &[String], jobs: usize) -> Result<()> {
+    let mut mutants = Mutant::load_all(&fuzzer.root)?;
+    for name in only {
+        let known = mutants.iter().any(|mutant| mutant.name == *name);
+        ensure!(known, "{name} is no mutant of proofs/mutants.toml");
+    }
+    mutants.retain(|mutant| only.is_empty() || only.contains(&mutant.name));
+    let exempt = plan::exempt(&fuzzer.root)?;
+    for name in exempt.keys().filter(|_| only.is_empty()) {
+        let known = mutants.iter().any(|mutant| mutant.name == *name);
+        ensure!(
+            known,
+            "{name} is exempt, and no mutant of proofs/mutants.toml"
+        );
+    }
+
+    let snapshot = Snapshot::take(&fuzzer.root, &fuzzer.target_dir)?;
+    let trials = Trials {
+        fuzzer,
+        snapshot: &snapshot,
+    };
+    trials.baseline()?;
+    let mut fates = Mutants::default();
+    let mut faults = Vec::new();
+    let todo = mutants
+        .iter()
+        .filter(|mutant| !exempt.contains_key(&mutant.name));
+    for (mutant, fate) in trials.in_parallel(todo.collect(), jobs)? {
+        let found = matches!(fate, Fate::Found { .. });
+        if found == (mutant.canary == Some(Canary::Survives)) {
+            faults.push(mutant.name.as_str());
+        }
+        if mutant.canary.is_none() {
+            fates.mutants.insert(mutant.name.clone(), fate);
+        }
+    }
+    let known = |name: &String| mutants.iter().any(|mutant| mutant.name == *name);
+    let exempt = exempt.into_iter().filter(|(name, _)| known(name));
+    fates
+        .mutants
+        .extend(exempt.map(|(name, reason)| (name, Fate::Exempt(reason))));
+    if only.is_empty() {
+        let run = Run::new(&fuzzer.root, fuzzer.cargo_fuzz.rustc()?, fates)?;
+        Results::change(&fuzzer.root, |results| results.mutants = Some(run))?;
+        table::write(&fuzzer.root)?;
+    }
+    ensure!(
+        faults.is_empty(),
+        "not as it must be: {}",
+        faults.join(", ")
+    );
+    Ok(())
+}
+
+/// What a target may take for its seeds.
+const SEEDS: Limits = Limits {
+    time: Duration::from_secs(30),
+    memory_mb: 2_000,
+};
+
+struct Trials<'a> {
+    fuzzer: &'a Fuzzer,
+    snapshot: &'a Snapshot,
+}
+
+impl Trials<'_> {
+    /// No seed finds anything in the code as it is.
+    fn baseline(&self) -> Result<()> {
+        let workshop = self.snapshot.workshop(0)?;
+        let targets: Vec<_> = self.fuzzer.targets.iter().collect();
+        let found = self.by_a_seed(&workshop, &targets)?;
+        let found = found.map(|(target, _)| target);
+        ensure!(
+            found.is_none(),
+            "the run is void: {found:?} fails without mutant"
+        );
+        Ok(())
+    }
+
+    /// Has workers, each with a copy of the sources, try `mutants`.
+    fn in_parallel<'m>(
+        &self,
+        mutants: Vec<&'m Mutant>,
+        jobs: usize,
+    ) -> Result<Vec<(&'m Mutant, Fate)>> {
+        let jobs = jobs.min(mutants.len());
+        let todo = Mutex::new(mutants.into_iter());
+        let fates = Mutex::new(Vec::new());
+        let worker = |number| {
+            let workshop = self.snapshot.workshop(number)?;
+            loop {
+                let next = todo.lock().unwrap_or_else(PoisonError::into_inner).next();
+                let Some(mutant) = next else {
+                    return anyhow::Ok(());
+                };
+                let fate = self.attempt(&workshop, mutant)?;
+                println!("{}: {}", mutant.name, said(&fate));
+                let mut fates = fates.lock().unwrap_or_else(PoisonError::into_inner);
+                fates.push((mutant, fate));
+            }
+        };
+        thread::scope(|scope| {
+            let workers: Vec<_> = (0..jobs).map(|n| scope.spawn(move || worker(n))).collect();
+            for worker in workers {
+                match worker.join() {
+                    Ok(ended) => ended?,
+                    Err(_) => bail!("a worker panicked"),
+                }
+            }
+            Ok(())
+        })?;
+        Ok(fates.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Looks for one mutant with the targets of the properties that it breaks: their seeds first.
+    fn attempt(&self, workshop: &Workshop, mutant: &Mutant) -> Result<Fate> {
+        self.snapshot.restore(workshop)?;
+        let path = workshop.tree.join(&mutant.file);
+        let before = fs::read_to_string(&path).with_context(|| mutant.file.clone())?;
+        fs::write(&path, mutant.apply(&before).map_err(anyhow::Error::msg)?)?;
+        let ids = mutant.ids();
+        let concerns = |target: &&Target| target.properties.iter().any(|id| ids.contains(id));
+        let targets: Vec<_> = self.fuzzer.targets.iter().filter(concerns).collect();
+        ensure!(!targets.is_empty(), "no target is about {ids:?}");
+        let found = match self.by_a_seed(workshop, &targets)? {
+            None => self.by_fuzzing(workshop, &targets, &mutant.name)?,
+            found => found,
+        };
+        Ok(
+            found.map_or(Fate::Survived, |(target, seconds)| Fate::Found {
+                target,
+                seconds,
+            }),
+        )
+    }
+
+    /// The first of `targets` that a seed of it makes fail, as it is at the start of fuzzing: at once.
+    fn by_a_seed(&self, workshop: &Workshop, targets: &[&Target]) -> Result<Found> {
+        let replay = Replay::build(&workshop.tree, &workshop.test, "")?;
+        for target in targets {
+            let mut replay = replay.command(&target.name, &["seeds", "found"]);
+            let ended = process::run(&mut replay, SEEDS)?;
+            // What does not end is left to the engine, which gives each input its time.
+            if ended.stopped.is_none() && !ended.status.success() {
+                let said = ended.stderr;
+                ensure!(said.contains("panicked at"), "{}: {said}", target.name);
+                return Ok(Some((target.name.clone(), 0.0)));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The first of `targets`, which share the time, that fails on what the engine makes of its seeds,
+    /// and after how long.
+    fn by_fuzzing(&self, workshop: &Workshop, targets: &[&Target], mutant: &str) -> Result<Found> {
+        let engine = Engine::build(&self.fuzzer.cargo_fuzz, &workshop.tree, &workshop.test);
+        let engine = engine.with_context(|| mutant.to_owned())?;
+        let scratch = self.fuzzer.target_dir.join("mutants").join(mutant);
+        if scratch.is_dir() {
+            fs::remove_dir_all(&scratch)?;
+        }
+        let mut before = 0.0;
+        for target in targets {
+            let mut corpus = vec![scratch.join(&target.name)];
+            corpus.extend(engine.seeds(target));
+            let session = Session {
+                corpus,
+                time: TIME / targets.len() as u32,
+                options: vec![],
+            };
+            let ended = engine.run(&target.name, target.max_len, &session, |_| {})?;
+            if ended.finding.is_some() {
+                return Ok(Some((target.name.clone(), tenths(before + ended.seconds))));
+            }
+            before += ended.seconds;
+        }
+        Ok(None)
+    }
+}
+
+/// Which target found something, and after how many seconds.
+type Found = Option<(String, f64)>;
+
+fn said(fate: &Fate) -> String {
+    match fate {
+        Fate::Found {
+            target,
+            seconds: 0.0,
+        } => format!("found by a seed of {target}"),
+        Fate::Found { target, seconds } => format!("found by {target} after {seconds:.1} s"),
+        Fate::Survived => "NOT FOUND".to_owned(),
+        Fate::Exempt(reason) => reason.clone(),
+    }
+}
