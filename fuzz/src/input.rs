@@ -25,7 +25,7 @@ pub fn decode<'a, T: Arbitrary<'a>>(bytes: &'a [u8]) -> Option<T> {
     T::arbitrary_take_rest(Unstructured::new(bytes)).ok()
 }
 
-/// What [`input!`] defines.
+/// What `input!` defines.
 pub trait Input: Encode + Debug {
     /// How the input in `bytes` shows itself.
     fn shown(bytes: &[u8]) -> Option<String>;
@@ -264,7 +264,7 @@ input! {
     /// A message: of the table, or any at all.
     #[derive(Copy, Default)]
     pub struct Message {
-        /// The id, if the highest bit is set; otherwise a row of the table.
+        /// A row of the table in 16 bits; with the highest of all bits set, the id in the other 23.
         pub id: [u8; 3],
     }
 }
@@ -282,15 +282,24 @@ impl Message {
         Self { id: [low, high, 0] }
     }
 
+    /// The message with this id of up to 23 bits, in the table or not.
+    #[must_use]
+    pub const fn any(id: u32) -> Self {
+        let [low, high, highest, _] = id.to_le_bytes();
+        Self {
+            id: [low, high, highest | 0x80],
+        }
+    }
+
     /// Its id.
     #[must_use]
     pub fn id(self) -> MessageId {
         let [low, high, highest] = self.id;
-        if highest < 0x80 {
+        if highest & 0x80 == 0 {
             let row = usize::from(u16::from_le_bytes([low, high]));
             MESSAGES[row % MESSAGES.len()]
         } else {
-            MessageId::from_le_bytes(self.id)
+            MessageId::from_le_bytes([low, high, highest & 0x7F])
         }
     }
 }

@@ -19,7 +19,7 @@ input! {
         pub arrive: u8,
         /// Bytes that it takes.
         pub room: u8,
-        /// What fails: see [`Fault`]; mostly nothing.
+        /// What fails: 1 to 6, one of its calls; mostly nothing.
         pub fault: u8,
     }
 }

@@ -25,7 +25,7 @@ const HEARTBEAT: u32 = 0;
 const TIMESYNC: u32 = 111;
 const SETUP_SIGNING: u32 = 256;
 /// An id that no dialect gives to a message.
-const UNKNOWN: [u8; 3] = [0xFE, 0xFF, 0xFF];
+const UNKNOWN: u32 = 0x7F_FFFE;
 /// A HEARTBEAT of MAVLink 1.
 const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
 /// The payload of a HEARTBEAT.

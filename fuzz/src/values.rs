@@ -91,6 +91,8 @@ pub fn stamps(input: &Clocks) {
             Some(moment)
         );
     }
+    let in_1970 = input.now[0].offset.into();
+    assert_eq!(Timestamp::from_unix_micros(in_1970), None);
     let Stamped { link_id, moment } = input.sender;
     reached(stamp::two_stamps(link_id, moment.timestamp(), now));
     replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);

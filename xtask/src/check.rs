@@ -12,7 +12,7 @@ use xshell::{Shell, cmd};
 
 use crate::{
     firmware::{self, Chip},
-    mutants, proofs,
+    fuzz, mutants, proofs,
     setup::{self, root},
 };
 
@@ -59,6 +59,8 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step("demonstration with an echo must fail", echo_fails);
     checks.step("properties and their table", proofs::check);
     checks.step_unless("fast proofs", proofs::fast);
+    checks.step("inputs of the fuzz targets, and their table", inputs);
+    checks.step_unless("fuzz targets, some seconds each", fuzz::smoke);
     if options.all {
         checks.step("firmware by the distribution's compiler", distribution);
         checks.step("mutants of the cores", mutants::all);
@@ -144,8 +146,10 @@ fn shell_with(component: &str) -> Result<Shell> {
 fn formatting() -> Result<()> {
     let sh = shell_with("fmt")?;
     cmd!(sh, "cargo fmt --all --check").run()?;
-    sh.change_dir("chips");
-    cmd!(sh, "cargo fmt --all --check").run()?;
+    for workspace in ["chips", "fuzz"] {
+        sh.change_dir(root().join(workspace));
+        cmd!(sh, "cargo fmt --all --check").run()?;
+    }
     Ok(())
 }
 
@@ -162,6 +166,12 @@ fn lints() -> Result<()> {
         "cargo clippy --quiet --locked {cores...} --features defmt -- -D warnings"
     )
     .run()?;
+    let without_engine = fuzz::without_engine()?;
+    cmd!(
+        sh,
+        "cargo clippy --quiet {without_engine...} --all-targets -- -D warnings"
+    )
+    .run()?;
     Ok(())
 }
 
@@ -176,6 +186,14 @@ fn host_tests() -> Result<()> {
     let sh = shell(".")?;
     cmd!(sh, "cargo test --quiet --locked --workspace").run()?;
     Ok(())
+}
+
+/// Every committed input of the fuzz targets, on this compiler and without an engine.
+fn inputs() -> Result<()> {
+    let sh = shell(".")?;
+    let without_engine = fuzz::without_engine()?;
+    cmd!(sh, "cargo test --quiet {without_engine...}").run()?;
+    fuzz::check()
 }
 
 /// A new chip needs no change to the cores: they build for one that no crate of `chips/` is for.

@@ -12,7 +12,7 @@ mod seeds;
 mod speed;
 mod table;
 
-use std::path::PathBuf;
+use std::{ffi::OsString, path::PathBuf};
 
 use anyhow::{Result, ensure};
 use clap::{Args, Subcommand};
@@ -91,6 +91,45 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         Verb::Smoke => campaign::smoke(&Fuzzer::new(options)?, jobs),
         Verb::Campaign { minutes } => campaign::campaign(&Fuzzer::new(options)?, *minutes, jobs),
     }
+}
+
+/// Whether seeds and table are what is committed; runs nothing.
+///
+/// # Errors
+/// If they are not.
+pub(crate) fn check() -> Result<()> {
+    seeds::seeds(true)?;
+    table::check(&root())
+}
+
+/// Every target for some seconds; or why not.
+///
+/// # Errors
+/// If a target fails.
+pub(crate) fn smoke() -> Result<Option<String>> {
+    if let Err(missing) = setup::cargo_fuzz(false) {
+        return Ok(Some(format!("{missing:#}")));
+    }
+    run(&Options {
+        verb: Verb::Smoke,
+        stable: false,
+        only: vec![],
+        jobs: None,
+    })?;
+    Ok(None)
+}
+
+/// Arguments with which cargo takes the targets as plain functions, without what needs a C++ compiler.
+///
+/// # Errors
+/// If cargo does not say where it builds.
+pub(crate) fn without_engine() -> Result<Vec<OsString>> {
+    let arguments = ["--locked", "--no-default-features", "--manifest-path"];
+    let mut arguments: Vec<OsString> = arguments.map(Into::into).into();
+    arguments.push(root().join("fuzz/Cargo.toml").into());
+    arguments.push("--target-dir".into());
+    arguments.push(setup::target_dir()?.join("fuzz").into());
+    Ok(arguments)
 }
 
 /// The targets, built and ready to run.

@@ -126,7 +126,7 @@ impl Seeds {
                 Message::known(SETUP_SIGNING),
                 ALL_REPAIRS & !1,
             ),
-            ("unknown_message", Message { id: UNKNOWN }, ALL_REPAIRS),
+            ("unknown_message", Message::any(UNKNOWN), ALL_REPAIRS),
         ] {
             self.package(
                 name,
@@ -256,7 +256,7 @@ impl Seeds {
             self.add("sign_verify", name, &input);
         }
         let head = Head {
-            message: Message { id: UNKNOWN },
+            message: Message::any(UNKNOWN),
             ..Head::default()
         };
         let input = ToSign {

@@ -33,10 +33,11 @@ impl Seeds {
             ("check_value_heartbeat", Message::known(HEARTBEAT)),
             ("check_value_timesync", Message::known(TIMESYNC)),
             ("check_value_setup_signing", Message::known(SETUP_SIGNING)),
-            ("check_value_unknown_message", Message { id: UNKNOWN }),
+            ("check_value_unknown_message", Message::any(UNKNOWN)),
+            ("check_value_id_between_two_rows", Message::any(3)),
             (
                 "check_value_id_of_more_than_16_bits",
-                Message { id: [0, 0, 0x81] },
+                Message::any(0x1_0000),
             ),
         ] {
             let input = Checked {

@@ -13,13 +13,11 @@ use super::{
     Fuzzer,
     engine::{Engine, Session},
     plan::{self, Target},
-    replay::Replay,
     results::{Fate, Mutants, Results, Run},
     table,
 };
 use crate::proofs::{
     plan::{Canary, Mutant},
-    process::{self, Limits},
     results::tenths,
     workshop::{Snapshot, Workshop},
 };
@@ -85,12 +83,6 @@ pub(super) fn mutants(fuzzer: &Fuzzer, only: &[String], jobs: usize) -> Result<(
     Ok(())
 }
 
-/// What a target may take for its seeds.
-const SEEDS: Limits = Limits {
-    time: Duration::from_secs(30),
-    memory_mb: 2_000,
-};
-
 struct Trials<'a> {
     fuzzer: &'a Fuzzer,
     snapshot: &'a Snapshot,
@@ -99,14 +91,11 @@ struct Trials<'a> {
 impl Trials<'_> {
     /// No seed finds anything in the code as it is.
     fn baseline(&self) -> Result<()> {
-        let workshop = self.snapshot.workshop(0)?;
         let targets: Vec<_> = self.fuzzer.targets.iter().collect();
-        let found = self.by_a_seed(&workshop, &targets)?;
-        let found = found.map(|(target, _)| target);
-        ensure!(
-            found.is_none(),
-            "the run is void: {found:?} fails without mutant"
-        );
+        let found = self.look(&self.fuzzer.engine, &targets, "baseline", Duration::ZERO)?;
+        if let Some((target, _)) = found {
+            bail!("the run is void: {target} fails without mutant");
+        }
         Ok(())
     }
 
@@ -151,14 +140,18 @@ impl Trials<'_> {
         let path = workshop.tree.join(&mutant.file);
         let before = fs::read_to_string(&path).with_context(|| mutant.file.clone())?;
         fs::write(&path, mutant.apply(&before).map_err(anyhow::Error::msg)?)?;
+        let engine = Engine::build(&self.fuzzer.cargo_fuzz, &workshop.tree, &workshop.test);
+        let engine = engine.with_context(|| mutant.name.clone())?;
+
         let ids = mutant.ids();
         let concerns = |target: &&Target| target.properties.iter().any(|id| ids.contains(id));
         let targets: Vec<_> = self.fuzzer.targets.iter().filter(concerns).collect();
         ensure!(!targets.is_empty(), "no target is about {ids:?}");
-        let found = match self.by_a_seed(workshop, &targets)? {
-            None => self.by_fuzzing(workshop, &targets, &mutant.name)?,
-            found => found,
-        };
+        let mut found = self.look(&engine, &targets, &mutant.name, Duration::ZERO)?;
+        if found.is_none() {
+            let share = TIME / targets.len() as u32;
+            found = self.look(&engine, &targets, &mutant.name, share)?;
+        }
         Ok(
             found.map_or(Fate::Survived, |(target, seconds)| Fate::Found {
                 target,
@@ -167,59 +160,40 @@ impl Trials<'_> {
         )
     }
 
-    /// The first of `targets` that a seed of it makes fail, as it is at the start of fuzzing: at once.
-    fn by_a_seed(&self, workshop: &Workshop, targets: &[&Target]) -> Result<Found> {
-        let replay = Replay::build(&workshop.tree, &workshop.test, "")?;
-        for target in targets {
-            let mut replay = replay.command(&target.name, &["seeds", "found"]);
-            let ended = process::run(&mut replay, SEEDS)?;
-            // What does not end is left to the engine, which gives each input its time.
-            if ended.stopped.is_none() && !ended.status.success() {
-                let said = ended.stderr;
-                ensure!(said.contains("panicked at"), "{}: {said}", target.name);
-                return Ok(Some((target.name.clone(), 0.0)));
-            }
-        }
-        Ok(None)
-    }
-
-    /// The first of `targets`, which share the time, that fails on what the engine makes of its seeds,
-    /// and after how long.
-    fn by_fuzzing(&self, workshop: &Workshop, targets: &[&Target], mutant: &str) -> Result<Found> {
-        let engine = Engine::build(&self.fuzzer.cargo_fuzz, &workshop.tree, &workshop.test);
-        let engine = engine.with_context(|| mutant.to_owned())?;
+    /// The first of `targets` that fails when each has `time`, and after how long; without time, each
+    /// looks at its seeds.
+    fn look(
+        &self,
+        engine: &Engine,
+        targets: &[&Target],
+        mutant: &str,
+        time: Duration,
+    ) -> Result<Option<(String, f64)>> {
         let scratch = self.fuzzer.target_dir.join("mutants").join(mutant);
         if scratch.is_dir() {
             fs::remove_dir_all(&scratch)?;
         }
-        let mut before = 0.0;
+        let mut seconds = 0.0;
         for target in targets {
             let mut corpus = vec![scratch.join(&target.name)];
             corpus.extend(engine.seeds(target));
             let session = Session {
                 corpus,
-                time: TIME / targets.len() as u32,
+                time,
                 options: vec![],
             };
             let ended = engine.run(&target.name, target.max_len, &session, |_| {})?;
+            seconds += ended.seconds;
             if ended.finding.is_some() {
-                return Ok(Some((target.name.clone(), tenths(before + ended.seconds))));
+                return Ok(Some((target.name.clone(), tenths(seconds))));
             }
-            before += ended.seconds;
         }
         Ok(None)
     }
 }
 
-/// Which target found something, and after how many seconds.
-type Found = Option<(String, f64)>;
-
 fn said(fate: &Fate) -> String {
     match fate {
-        Fate::Found {
-            target,
-            seconds: 0.0,
-        } => format!("found by a seed of {target}"),
         Fate::Found { target, seconds } => format!("found by {target} after {seconds:.1} s"),
         Fate::Survived => "NOT FOUND".to_owned(),
         Fate::Exempt(reason) => reason.clone(),

@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 
-use super::Fuzzer;
+use super::{Fuzzer, without_engine};
 use crate::demo::wire::telemetry_path;
 use crate::proofs::workshop::files;
 use crate::setup::{root, target_dir};
@@ -30,9 +30,7 @@ pub(super) fn seeds(check: bool) -> Result<()> {
     };
     fs::create_dir_all(&folder)?;
     let mut cargo = Command::new("cargo");
-    cargo.current_dir(root.join("fuzz"));
-    cargo.args(["run", "--quiet", "--locked", "--no-default-features"]);
-    cargo.arg("--target-dir").arg(target_dir()?.join("fuzz"));
+    cargo.args(["run", "--quiet"]).args(without_engine()?);
     cargo.args(["--example", "seeds", "--"]);
     let status = cargo.arg(telemetry_path()?).arg(&folder).status()?;
     ensure!(status.success(), "the seeds were not made");

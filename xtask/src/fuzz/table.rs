@@ -179,10 +179,6 @@ fn mutants(text: &mut String, mutants: &Mutants) {
     text.push_str("| mutant | found by | after |\n|---|---|---|\n");
     for (name, fate) in &mutants.mutants {
         let (target, seconds) = match fate {
-            Fate::Found {
-                target,
-                seconds: 0.0,
-            } => (format!("`{target}`"), "a seed".to_owned()),
             Fate::Found { target, seconds } => (format!("`{target}`"), format!("{seconds:.1} s")),
             Fate::Survived => ("**none**".to_owned(), "-".to_owned()),
             Fate::Exempt(reason) => (reason.clone(), "-".to_owned()),
