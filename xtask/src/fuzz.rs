@@ -12,7 +12,7 @@ mod seeds;
 mod speed;
 mod table;
 
-use std::{ffi::OsString, path::PathBuf};
+use std::{ffi::OsString, fs, path::PathBuf};
 
 use anyhow::{Result, ensure};
 use clap::{Args, Subcommand};
@@ -140,11 +140,13 @@ struct Fuzzer {
     engine: Engine,
     /// Those that are asked for.
     targets: Vec<Target>,
+    /// Whether that is every one.
+    all: bool,
 }
 
 impl Fuzzer {
     fn new(options: &Options) -> Result<Self> {
-        let root = root();
+        let root = fs::canonicalize(root())?;
         let mut targets = plan::targets(&root)?;
         let only = &options.only;
         for name in only {
@@ -160,6 +162,7 @@ impl Fuzzer {
             target_dir,
             cargo_fuzz,
             targets,
+            all: only.is_empty(),
         })
     }
 }

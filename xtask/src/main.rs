@@ -10,6 +10,7 @@ mod proofs;
 mod qemu;
 mod setup;
 mod tables;
+mod workers;
 
 use std::process::ExitCode;
 

@@ -15,14 +15,13 @@ use std::{
     collections::BTreeSet,
     path::PathBuf,
     sync::{Mutex, PoisonError},
-    thread,
     time::{Duration, Instant},
 };
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 
-use crate::setup::root;
+use crate::{setup::root, workers};
 use census::Project;
 use process::Limits;
 use results::{FullRun, Proof, Results, cores, today};
@@ -305,29 +304,8 @@ impl Run {
         items: Vec<T>,
         work: impl Fn(&Workshop, T) -> Result<()> + Sync,
     ) -> Result<()> {
-        let jobs = self.jobs.min(items.len());
-        let items = Mutex::new(items.into_iter());
-        let worker = |number| {
-            let workshop = self.snapshot.workshop(number)?;
-            let mut outcome = Ok(());
-            loop {
-                let Some(item) = lock(&items).next() else {
-                    return outcome;
-                };
-                outcome = outcome.and(work(&workshop, item));
-            }
-        };
-        thread::scope(|scope| {
-            let workers: Vec<_> = (0..jobs).map(|n| scope.spawn(move || worker(n))).collect();
-            let mut outcome = Ok(());
-            for worker in workers {
-                match worker.join() {
-                    Ok(ended) => outcome = outcome.and(ended),
-                    Err(_) => bail!("a worker panicked"),
-                }
-            }
-            outcome
-        })
+        let place = |number| self.snapshot.workshop(number);
+        workers::share(self.jobs, items, place, work)
     }
 }
 

@@ -13,7 +13,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use comfy_table::{Table, presets};
 
 use super::{
@@ -23,12 +23,12 @@ use super::{
     results::{Campaign, Fuzzed, Results, Run},
     table::grouped,
 };
-use crate::proofs::results::tenths;
+use crate::{proofs::results::tenths, workers};
 
 /// What a smoke test gives each target.
 const SMOKE: Duration = Duration::from_secs(4);
 
-/// Fuzzes every target, all together for `minutes`, and keeps what came out.
+/// Fuzzes every target, all together for `minutes`, and keeps what came out of all of them.
 ///
 /// # Errors
 /// If a target fails on an input; which, and how to see it again, has been printed.
@@ -45,14 +45,16 @@ pub(super) fn campaign(fuzzer: &Fuzzer, minutes: f64, jobs: usize) -> Result<()>
     .run()?;
     print(fuzzer, &targets);
     let found = failed(&targets);
-    let outcome = Campaign {
-        minutes,
-        jobs,
-        targets,
-    };
-    let run = Run::new(&fuzzer.root, fuzzer.cargo_fuzz.rustc()?, outcome)?;
-    Results::change(&fuzzer.root, |results| results.campaign = Some(run))?;
-    super::table::write(&fuzzer.root)?;
+    if fuzzer.all {
+        let outcome = Campaign {
+            minutes,
+            jobs,
+            targets,
+        };
+        let run = Run::new(&fuzzer.root, fuzzer.cargo_fuzz.rustc()?, outcome)?;
+        Results::change(&fuzzer.root, |results| results.campaign = Some(run))?;
+        super::table::write(&fuzzer.root)?;
+    }
     ensure!(found.is_empty(), "found something: {found}");
     Ok(())
 }
@@ -101,8 +103,8 @@ struct Rounds<'a> {
 impl Rounds<'_> {
     fn run(&self) -> Result<BTreeMap<String, Fuzzed>> {
         let progress = Progress::new(self.share * self.fuzzer.targets.len() as u32);
-        let workers = |number| {
-            let targets = &self.fuzzer.targets;
+        let targets = &self.fuzzer.targets;
+        let worker = |number| {
             let first = number * targets.len() / self.jobs;
             for target in targets.iter().cycle().skip(first).take(targets.len()) {
                 if !progress.has_failed(&target.name) {
@@ -113,16 +115,7 @@ impl Rounds<'_> {
         };
         thread::scope(|scope| {
             let ticker = scope.spawn(|| progress.show());
-            let workers: Vec<_> = (0..self.jobs)
-                .map(|number| scope.spawn(move || workers(number)))
-                .collect();
-            let mut outcome = Ok(());
-            for worker in workers {
-                match worker.join() {
-                    Ok(ended) => outcome = outcome.and(ended),
-                    Err(_) => bail!("a worker panicked"),
-                }
-            }
+            let outcome = workers::run(self.jobs, worker);
             progress.done.store(true, Relaxed);
             ticker.thread().unpark();
             outcome

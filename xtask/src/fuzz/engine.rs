@@ -173,7 +173,7 @@ impl Engine {
         Ok(Ended {
             status: reader.status,
             seconds: start.elapsed().as_secs_f64(),
-            finding: (!success).then(|| reader.finding()),
+            finding: (!success).then(|| reader.finding(&self.tree)),
         })
     }
 
@@ -254,19 +254,22 @@ impl Reader {
             self.status.executions = executions.trim().parse().unwrap_or_default();
         } else if let Some((_, path)) = line.split_once("Test unit written to ") {
             self.input = Some(path.trim().into());
-        } else if line.contains("panicked at") || line.contains("ERROR: libFuzzer:") {
-            self.said.push(line.trim().to_owned());
+        } else if let Some((_, place)) = line.split_once("panicked at ") {
+            self.said.push(place.to_owned());
+        } else if let Some((_, error)) = line.split_once("ERROR: libFuzzer: ") {
+            self.said.push(error.to_owned());
         } else if self.said.len() == 1 {
             // The message of a panic stands in the next line.
             self.said.push(line.trim().to_owned());
         }
     }
 
-    fn finding(self) -> Finding {
+    /// What was found in the sources in `tree`.
+    fn finding(self, tree: &Path) -> Finding {
         let mut said = self.said;
         said.truncate(2);
         Finding {
-            said: said.join(" "),
+            said: said.join(" ").replace(&format!("{}/", tree.display()), ""),
             input: self.input,
         }
     }
@@ -329,19 +332,16 @@ mod tests {
             features: 406,
         };
         assert_eq!(reader.status, status);
-        reader.read("thread '<unnamed>' (7) panicked at proofs/src/verify.rs:37:13:");
+        reader.read("thread '<unnamed>' (7) panicked at /p/proofs/src/verify.rs:37:13:");
         reader.read("assertion `left == right` failed");
         reader.read("  left: 1");
         reader.read("==7== ERROR: libFuzzer: deadly signal");
         reader.read("artifact_prefix='a/'; Test unit written to a/crash-01");
         reader.read("stat::number_of_executed_units: 5000");
         assert_eq!(reader.status.executions, 5000);
-        let finding = reader.finding();
+        let finding = reader.finding(Path::new("/p"));
         assert_eq!(finding.input, Some("a/crash-01".into()));
-        assert!(
-            finding
-                .said
-                .ends_with("verify.rs:37:13: assertion `left == right` failed")
-        );
+        let said = "proofs/src/verify.rs:37:13: assertion `left == right` failed";
+        assert_eq!(finding.said, said);
     }
 }

@@ -3,7 +3,6 @@
 use std::{
     fs,
     sync::{Mutex, PoisonError},
-    thread,
     time::Duration,
 };
 
@@ -16,10 +15,13 @@ use super::{
     results::{Fate, Mutants, Results, Run},
     table,
 };
-use crate::proofs::{
-    plan::{Canary, Mutant},
-    results::tenths,
-    workshop::{Snapshot, Workshop},
+use crate::{
+    proofs::{
+        plan::{Canary, Mutant},
+        results::tenths,
+        workshop::{Snapshot, Workshop},
+    },
+    workers,
 };
 
 /// How long targets may look for one mutant, all together.
@@ -105,30 +107,13 @@ impl Trials<'_> {
         mutants: Vec<&'m Mutant>,
         jobs: usize,
     ) -> Result<Vec<(&'m Mutant, Fate)>> {
-        let jobs = jobs.min(mutants.len());
-        let todo = Mutex::new(mutants.into_iter());
         let fates = Mutex::new(Vec::new());
-        let worker = |number| {
-            let workshop = self.snapshot.workshop(number)?;
-            loop {
-                let next = todo.lock().unwrap_or_else(PoisonError::into_inner).next();
-                let Some(mutant) = next else {
-                    return anyhow::Ok(());
-                };
-                let fate = self.attempt(&workshop, mutant)?;
-                println!("{}: {}", mutant.name, said(&fate));
-                let mut fates = fates.lock().unwrap_or_else(PoisonError::into_inner);
-                fates.push((mutant, fate));
-            }
-        };
-        thread::scope(|scope| {
-            let workers: Vec<_> = (0..jobs).map(|n| scope.spawn(move || worker(n))).collect();
-            for worker in workers {
-                match worker.join() {
-                    Ok(ended) => ended?,
-                    Err(_) => bail!("a worker panicked"),
-                }
-            }
+        let place = |number| self.snapshot.workshop(number);
+        workers::share(jobs, mutants, place, |workshop, mutant| {
+            let fate = self.attempt(workshop, mutant)?;
+            println!("{}: {}", mutant.name, said(&fate));
+            let mut fates = fates.lock().unwrap_or_else(PoisonError::into_inner);
+            fates.push((mutant, fate));
             Ok(())
         })?;
         Ok(fates.into_inner().unwrap_or_else(PoisonError::into_inner))
