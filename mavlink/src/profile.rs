@@ -1,6 +1,8 @@
 //! How a tag is computed: the profile that both ends of a link must share.
 
-use hmac::digest::{Mac, common::Key};
+use hmac::block_api::HmacCore;
+use hmac::digest::block_api::{Buffer, FixedOutputCore, UpdateCore};
+use hmac::digest::{Output, common::Key};
 use hmac::{EagerHash, KeyInit};
 use sha2::Sha256;
 use zeroize::{Zeroize, ZeroizeOnDrop};
@@ -33,11 +35,10 @@ pub struct Hmac<H: EagerHash = Sha256>
 where
     H::Core: ZeroizeOnDrop,
 {
-    keyed: hmac::Hmac<H>,
+    keyed: HmacCore<H>,
 }
 
-// `keyed` is two states of the hash's core, which wipe themselves, and a buffer, empty until a copy
-// of it is used.
+// `keyed` is two states of the hash's core, which wipe themselves.
 impl<H: EagerHash> ZeroizeOnDrop for Hmac<H> where H::Core: ZeroizeOnDrop {}
 
 impl<H: EagerHash> Profile for Hmac<H>
@@ -47,20 +48,25 @@ where
     fn new(key: &[u8; KEY_SIZE]) -> Self {
         // RFC 2104 fills a short key with zeros to the hash's block; doing it here leaves no
         // length that could be wrong.
-        let mut block = Key::<hmac::Hmac<H>>::default();
+        let mut block = Key::<HmacCore<H>>::default();
         for (slot, byte) in block.iter_mut().zip(key) {
             *slot = *byte;
         }
-        let keyed = hmac::Hmac::new(&block);
+        let keyed = HmacCore::new(&block);
         block.as_mut_slice().zeroize();
         Self { keyed }
     }
 
     fn tag(&self, covered: &[u8]) -> Tag {
-        let mut mac = self.keyed.clone();
-        mac.update(covered);
+        // Block by block rather than by `Mac`: its `finalize` takes and wipes a copy of states and
+        // buffer, 150 bytes of a stack that may be small.
+        let mut keyed = self.keyed.clone();
+        let mut buffer = Buffer::<HmacCore<H>>::default();
+        buffer.digest_blocks(covered, |blocks| keyed.update_blocks(blocks));
+        let mut whole = Output::<HmacCore<H>>::default();
+        keyed.finalize_fixed_core(&mut buffer, &mut whole);
         let mut tag = [0; TAG_SIZE];
-        for (slot, byte) in tag.iter_mut().zip(mac.finalize().into_bytes()) {
+        for (slot, byte) in tag.iter_mut().zip(whole) {
             *slot = byte;
         }
         tag

@@ -107,9 +107,9 @@ const BUDGETS: &[Budget] = &[
 ];
 
 /// Bytes of flash for the smallest images.
-const FLASH: u64 = 5300;
+const FLASH: u64 = 5000;
 /// Bytes of stack for every demonstration.
-const STACK: u32 = 1050;
+const STACK: u32 = 900;
 
 /// Options of `cargo xtask firmware`.
 #[derive(Args, Default)]
