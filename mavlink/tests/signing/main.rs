@@ -4,3 +4,4 @@ mod common;
 mod decoder;
 mod frames;
 mod seed;
+mod standard;
