@@ -131,4 +131,14 @@ impl<const N: usize> Streams<N> {
         }
         Ok(Verified::new(frame))
     }
+
+    /// For proofs: with these rows.
+    #[cfg(kani)]
+    #[must_use]
+    pub fn holding(mut self, rows: &[(Stream, Timestamp)]) -> Self {
+        for (stream, last) in rows {
+            let _ = self.rows.insert(*stream, Fresh::after(*last));
+        }
+        self
+    }
 }
