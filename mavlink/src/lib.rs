@@ -38,7 +38,7 @@ pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
 pub use key::{Fingerprint, KEY_SIZE, SigningKey};
 pub use profile::{Hmac, Profile, Standard};
-pub use replay::Replay;
+pub use replay::{Admit, Replay};
 pub use setup::{SETUP_SIGNING, SetupSigning, redact_for_log, without_trailing_zeros};
 pub use sign::sign_frame;
 pub use streams::{Links, Stream, Streams};

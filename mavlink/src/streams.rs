@@ -4,6 +4,7 @@ use heapless::LinearMap;
 
 use crate::error::VerifyError;
 use crate::header::Header;
+use crate::replay::Admit;
 use crate::time::{Fresh, Stamp, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
@@ -37,8 +38,22 @@ pub enum Links {
     /// All. A frame recorded on one link is then authentic on another, and accepted there as the
     /// first of its stream for as long as it lies in the window.
     Any,
+    /// All but this one, which the receiver's own frames are signed for: reflected, they are refused.
+    AllBut(u8),
     /// This one alone: a frame recorded on another link is refused.
     Only(u8),
+}
+
+impl Links {
+    /// Whether frames of `link_id` are taken.
+    #[must_use]
+    pub const fn take(self, link_id: u8) -> bool {
+        match self {
+            Self::Any => true,
+            Self::AllBut(own) => link_id != own,
+            Self::Only(taken) => link_id == taken,
+        }
+    }
 }
 
 /// What a receiver remembers of up to `N` streams. It is not copied: a copy would accept again what
@@ -53,6 +68,20 @@ pub struct Streams<const N: usize> {
     /// What is fresh in a stream that has no row.
     first: Fresh,
     rows: LinearMap<Stream, Fresh, N>,
+}
+
+impl<const N: usize> Admit for Streams<N> {
+    fn admit<'a>(
+        &mut self,
+        frame: Authentic<'a>,
+        now: Timestamp,
+    ) -> Result<Verified<'a>, VerifyError> {
+        Self::admit(self, frame, now)
+    }
+
+    fn takes(&self, link_id: u8) -> bool {
+        self.links.take(link_id)
+    }
 }
 
 impl<const N: usize> Streams<N> {
@@ -108,11 +137,8 @@ impl<const N: usize> Streams<N> {
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError> {
         let stamp = frame.stamp();
-        match self.links {
-            Links::Only(link_id) if stamp.link_id != link_id => {
-                return Err(VerifyError::WrongLink(stamp.link_id));
-            }
-            _ => {}
+        if !self.links.take(stamp.link_id) {
+            return Err(VerifyError::WrongLink(stamp.link_id));
         }
         self.window.check(stamp.timestamp, now)?;
         let stream = Stream::of(frame.header(), stamp);

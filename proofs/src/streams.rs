@@ -87,7 +87,12 @@ fn specified<const N: usize>(
     stamp: Stamp,
     now: Timestamp,
 ) -> Result<(), VerifyError> {
-    if matches!(streams.links(), Links::Only(link_id) if link_id != stamp.link_id) {
+    let taken = match streams.links() {
+        Links::Any => true,
+        Links::AllBut(own) => stamp.link_id != own,
+        Links::Only(link_id) => stamp.link_id == link_id,
+    };
+    if !taken {
         return Err(VerifyError::WrongLink(stamp.link_id));
     }
     let (ticks, now) = (stamp.timestamp.ticks(), now.ticks());
@@ -124,12 +129,12 @@ mod twins {
         #[test]
         fn r2_random(
             frames in proptest::collection::vec((1..3_u8, 0..3_u8, 0..2_u8, 0..60_u64, 0..60_u64), 0..40),
-            only_one: bool,
+            links in 0..3_u8,
             first in 0..40_u64,
         ) {
             let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
             let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
-            let links = if only_one { Links::Only(1) } else { Links::Any };
+            let links = [Links::Any, Links::AllBut(2), Links::Only(1)][usize::from(links)];
             let window = Window { past: 30, ahead: 20 };
             let mut streams = Streams::<4>::resume(links, window, at(first));
             for (link_id, system_id, component_id, ticks, now) in frames {
@@ -186,10 +191,10 @@ mod harness {
     #[kani::unwind(33)]
     fn r2_step() {
         let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let links = if kani::any() {
-            Links::Any
-        } else {
-            Links::Only(kani::any())
+        let links = match kani::any() {
+            0_u8 => Links::Any,
+            1 => Links::AllBut(kani::any()),
+            _ => Links::Only(kani::any()),
         };
         let window = Window {
             past: kani::any(),
