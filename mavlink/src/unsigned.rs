@@ -2,7 +2,7 @@
 
 use crate::dialect::crc_extra;
 use crate::error::VerifyError;
-use crate::frame::FrameRef;
+use crate::frame::{Frame, FrameRef};
 use crate::header::{Header, MessageId};
 
 /// RADIO_STATUS, which a radio adds to the stream and cannot sign.
@@ -76,25 +76,34 @@ impl UnsignedPolicy for TrustedPort {
 ///
 /// Made by [`accept_unsigned`] alone.
 #[derive(Debug)]
-pub struct Unsigned<'a>(FrameRef<'a>);
+pub struct Unsigned<'a> {
+    frame: FrameRef<'a>,
+    crc_extra: u8,
+}
 
 impl<'a> Unsigned<'a> {
     /// The header.
     #[must_use]
     pub const fn header(&self) -> Header {
-        self.0.header()
+        self.frame.header()
     }
 
     /// The payload, 0 to 255 bytes, its trailing zeros cut by the sender.
     #[must_use]
     pub const fn payload(&self) -> &'a [u8] {
-        self.0.payload()
+        self.frame.payload()
     }
 
     /// The whole frame as received.
     #[must_use]
     pub const fn as_bytes(&self) -> &'a [u8] {
-        self.0.as_bytes()
+        self.frame.as_bytes()
+    }
+
+    /// The same frame, to be sent on later.
+    #[must_use]
+    pub fn to_frame(&self) -> Frame {
+        Frame::copy_of(self.frame, self.crc_extra)
     }
 }
 
@@ -131,7 +140,7 @@ pub fn accept_unsigned<'a>(
         message_id,
     };
     if policy.accepts(claim) {
-        Ok(Unsigned(frame))
+        Ok(Unsigned { frame, crc_extra })
     } else {
         Err(VerifyError::NotSigned)
     }
