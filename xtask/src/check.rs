@@ -11,7 +11,7 @@ use clap::Args;
 use xshell::{Shell, cmd};
 
 use crate::{
-    firmware, proofs,
+    firmware, interop, proofs,
     setup::{self, root},
 };
 
@@ -21,7 +21,8 @@ const CORE_TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: the firmware built by the distribution's compiler
+    /// Also what takes long or installs much: the firmware built by the distribution's compiler,
+    /// and unmodified peers
     #[arg(long)]
     all: bool,
 }
@@ -52,6 +53,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step_unless("fast proofs", proofs::fast);
     if options.all {
         checks.step("firmware by the distribution's compiler", distribution);
+        checks.step("interoperation with unmodified peers", interoperation);
     }
     checks.finish()
 }
@@ -134,8 +136,10 @@ fn shell_with(component: &str) -> Result<Shell> {
 fn formatting() -> Result<()> {
     let sh = shell_with("fmt")?;
     cmd!(sh, "cargo fmt --all --check").run()?;
-    sh.change_dir("chips");
-    cmd!(sh, "cargo fmt --all --check").run()?;
+    for workspace in ["chips", "interop"] {
+        sh.change_dir(root().join(workspace));
+        cmd!(sh, "cargo fmt --all --check").run()?;
+    }
     Ok(())
 }
 
@@ -197,7 +201,7 @@ fn firmware_lints() -> Result<Option<String>> {
     if !version.arg("--version").output()?.status.success() {
         return Ok(Some(format!("{toolchain} has no clippy")));
     }
-    for features in ["common", "common,logging"] {
+    for features in ["common", "common,logging", "common,logging,standard"] {
         let mut cargo = toolchain.cargo("clippy");
         cargo.current_dir(root().join("chips/qemu-m7"));
         cargo.args(["--quiet", "--locked", "--no-default-features"]);
@@ -255,6 +259,17 @@ fn distribution() -> Result<()> {
     cmd!(sh, "cargo xtask firmware").run()?;
     cmd!(sh, "cargo xtask demo").run()?;
     Ok(())
+}
+
+fn interoperation() -> Result<()> {
+    let sh = shell("interop")?;
+    cmd!(
+        sh,
+        "cargo clippy --quiet --locked --all-targets -- -D warnings"
+    )
+    .run()?;
+    cmd!(sh, "cargo test --quiet --locked").run()?;
+    interop::run(&interop::Options::default())
 }
 
 fn succeed(command: &mut Command) -> Result<()> {

@@ -4,6 +4,7 @@ mod check;
 mod demo;
 mod firmware;
 mod fuzz;
+mod interop;
 mod page;
 mod proofs;
 mod qemu;
@@ -29,6 +30,8 @@ enum Verb {
     Firmware(firmware::Options),
     /// Fuzz every target over the properties, and say what that reaches
     Fuzz(fuzz::Options),
+    /// Hold the standard's signature against unmodified peers, message by message and live
+    Interop(interop::Options),
     /// Run the proofs with Kani and write what came out to verification.md
     Proofs(proofs::Options),
     /// Run firmware in QEMU, print its log and exit with its status
@@ -58,6 +61,7 @@ fn run(verb: Verb) -> anyhow::Result<()> {
         Verb::Demo(options) => demo::run(&options),
         Verb::Firmware(options) => firmware::run(&options),
         Verb::Fuzz(options) => fuzz::run(&options),
+        Verb::Interop(options) => interop::run(&options),
         Verb::Proofs(options) => proofs::run(&options),
         Verb::RunQemu(options) => qemu::run(&options),
         Verb::Test(options) => check::run(&options),

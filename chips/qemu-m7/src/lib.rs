@@ -28,6 +28,8 @@ pub use uart::{Overrun, Uart};
 
 /// The key of the demonstrations. It is public: never use it.
 pub const DEMO_KEY: [u8; 32] = *include_bytes!("../demo.key");
+/// What the key of demonstrations with others' ground stations is made of. It is public: never use it.
+pub const DEMO_PASSPHRASE: &str = include_str!("../demo.passphrase");
 
 /// The board's peripherals.
 pub struct Board {

@@ -5,3 +5,4 @@ mod decoder;
 mod frames;
 mod seed;
 mod standard;
+mod vectors;
