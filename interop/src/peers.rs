@@ -59,3 +59,31 @@ pub(crate) fn all(python: &Path, definitions: &Path, key: &[u8; 32]) -> Result<V
         Box::new(mavio::Mavio::new(key, mavio::Flag::First)),
     ])
 }
+
+/// The version of a package that this was built with.
+fn built_with(package: &str) -> &'static str {
+    let lock = include_str!("../Cargo.lock");
+    let name = format!("name = \"{package}\"");
+    let mut lines = lock.lines().skip_while(|line| *line != name).skip(1);
+    let version = lines
+        .next()
+        .and_then(|line| line.strip_prefix("version = "));
+    version.map_or("unknown", |version| version.trim_matches('"'))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::built_with;
+
+    #[test]
+    fn versions_of_the_peers_are_known() {
+        for peer in ["mavlink", "mavio"] {
+            let version = built_with(peer);
+            assert!(
+                version.starts_with(|c: char| c.is_ascii_digit()),
+                "{peer} {version}"
+            );
+        }
+        assert_eq!(built_with("no such package"), "unknown");
+    }
+}

@@ -43,8 +43,7 @@ impl Peer for Mavio {
     }
 
     fn version(&self) -> &str {
-        // The manifest allows this one alone.
-        "0.5.10"
+        super::built_with("mavio")
     }
 
     fn sign(&mut self, order: &Order) -> Result<Vec<u8>> {

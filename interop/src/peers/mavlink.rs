@@ -38,8 +38,7 @@ impl Peer for Mavlink {
     }
 
     fn version(&self) -> &str {
-        // The manifest allows this one alone.
-        "0.21.0"
+        super::built_with("mavlink")
     }
 
     fn sign(&mut self, order: &Order) -> Result<Vec<u8>> {
