@@ -45,6 +45,20 @@ impl<'a> Mavlink1<'a> {
         id.into()
     }
 
+    /// The sending vehicle or station.
+    #[must_use]
+    pub const fn system_id(&self) -> u8 {
+        let &[_, _, _, system_id, _, _] = self.header;
+        system_id
+    }
+
+    /// The sending part of it.
+    #[must_use]
+    pub const fn component_id(&self) -> u8 {
+        let &[_, _, _, _, component_id, _] = self.header;
+        component_id
+    }
+
     /// The whole packet as received, 8 to 263 bytes.
     #[must_use]
     pub const fn as_bytes(&self) -> &'a [u8] {

@@ -70,6 +70,10 @@ pub enum VerifyError {
     TooOld,
     /// Authentic, but not newer than a frame already accepted: a replay, or reordered.
     Replayed,
+    /// Authentic, but of a stream that is new, and every row of the receiver's table is taken.
+    StreamsFull,
+    /// Signed, where only frames without signature are asked about. The caller is at fault.
+    Signed,
 }
 
 impl From<ParseError> for VerifyError {
@@ -132,6 +136,8 @@ impl fmt::Display for VerifyError {
             Self::FromFuture => f.write_str("stamped in the future"),
             Self::TooOld => f.write_str("stamped too long ago"),
             Self::Replayed => f.write_str("not newer than the last accepted frame"),
+            Self::StreamsFull => f.write_str("a new stream, and the table of streams is full"),
+            Self::Signed => f.write_str("the frame is signed"),
         }
     }
 }

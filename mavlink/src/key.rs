@@ -2,6 +2,9 @@
 
 use core::fmt;
 
+use sha2::{Digest, Sha256};
+use zeroize::Zeroize;
+
 use crate::error::KeyError;
 use crate::frame::Tag;
 use crate::profile::{Hmac, Profile};
@@ -39,8 +42,46 @@ impl<P: Profile> SigningKey<P> {
         })
     }
 
+    /// The key that a pass-phrase stands for: SHA-256 of its UTF-8 bytes, as MAVProxy and Mission
+    /// Planner make it.
+    ///
+    /// As hard to guess as the pass-phrase, and no harder: a hash is tried a billion times a second.
+    pub fn from_passphrase(passphrase: &str) -> Result<Self, KeyError> {
+        let mut digest = Sha256::digest(passphrase);
+        let key = Self::new(&digest);
+        digest.as_mut_slice().zeroize();
+        key
+    }
+
+    /// A few digits to compare by eye: two ends that show the same have the same key and profile, but
+    /// for one pair in 2^32.
+    ///
+    /// It gives away 32 bits about the key: nothing of a random one, but a guess at a pass-phrase can
+    /// be checked with it.
+    #[must_use]
+    pub fn fingerprint(&self) -> Fingerprint {
+        // No frame begins with this byte, so that no frame has this tag on purpose.
+        let [a, b, c, d, ..] = self.tag(b"mavseal key fingerprint");
+        Fingerprint([a, b, c, d])
+    }
+
     pub(crate) fn tag(&self, covered: &[u8]) -> Tag {
         self.profile.tag(covered)
+    }
+}
+
+/// What [`SigningKey::fingerprint`] shows: 4 bytes, as `1a2b-3c4d`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Fingerprint(
+    /// The bytes, in the order in which they are shown.
+    pub [u8; 4],
+);
+
+impl fmt::Display for Fingerprint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c, d] = self.0;
+        write!(f, "{a:02x}{b:02x}-{c:02x}{d:02x}")
     }
 }
 

@@ -25,19 +25,27 @@ mod header;
 mod key;
 mod profile;
 mod replay;
+mod setup;
 mod sign;
+mod streams;
 mod time;
+mod unsigned;
 mod verify;
 
 pub use decoder::{DecodeError, Decoder, Mavlink1, Packet, Resync};
 pub use error::{KeyError, ParseError, SignError, VerifyError};
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
-pub use key::{KEY_SIZE, SigningKey};
-pub use profile::{Hmac, Profile};
-pub use replay::Replay;
+pub use key::{Fingerprint, KEY_SIZE, SigningKey};
+pub use profile::{Hmac, Profile, Standard};
+pub use replay::{Admit, Replay};
+pub use setup::{SETUP_SIGNING, SetupSigning, redact_for_log, without_trailing_zeros};
 pub use sign::sign_frame;
+pub use streams::{Links, Stream, Streams};
 pub use time::{Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
+pub use unsigned::{
+    Claim, RadioStatus, Refuse, TrustedPort, Unsigned, UnsignedPolicy, accept_unsigned,
+};
 pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};
 /// What a [`Profile`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;

@@ -4,6 +4,38 @@ use crate::error::VerifyError;
 use crate::time::{Fresh, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
+/// What decides whether an authentic frame comes in time and order: [`Replay`] for one stream,
+/// [`Streams`](crate::Streams) for several.
+pub trait Admit {
+    /// Lets `frame` through, or says why not; a refused frame changes nothing.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Replay::admit`], and [`VerifyError::StreamsFull`].
+    fn admit<'a>(
+        &mut self,
+        frame: Authentic<'a>,
+        now: Timestamp,
+    ) -> Result<Verified<'a>, VerifyError>;
+
+    /// Whether frames made for `link_id` are let through at all.
+    fn takes(&self, link_id: u8) -> bool;
+}
+
+impl Admit for Replay {
+    fn admit<'a>(
+        &mut self,
+        frame: Authentic<'a>,
+        now: Timestamp,
+    ) -> Result<Verified<'a>, VerifyError> {
+        Self::admit(self, frame, now)
+    }
+
+    fn takes(&self, link_id: u8) -> bool {
+        link_id == self.link_id()
+    }
+}
+
 /// What a receiver remembers of one stream of frames. It is not copied: a copy would accept again
 /// what the original has accepted.
 ///

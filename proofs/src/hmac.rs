@@ -71,6 +71,40 @@ pub fn call_is_rfc2104(key: &[u8; KEY_SIZE], message: &[u8], outputs: &[[u32; 8]
     assert_eq!(look.word.1, state[look.word.0]);
 }
 
+/// Calls that a tag over `length` bytes takes under the profile Standard: key and message with their
+/// padding.
+#[must_use]
+pub const fn standard_calls(length: usize) -> usize {
+    (KEY_SIZE + length + 9).div_ceil(64)
+}
+
+/// S3 for the profile Standard: what was looked at is what FIPS 180-4 says of the key and then the
+/// message, with padding and length; each call goes on from the state before. `outputs` as above.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn call_is_sha256(key: &[u8; KEY_SIZE], message: &[u8], outputs: &[[u32; 8]], look: Look) {
+    assert_eq!(outputs.len(), standard_calls(message.len()));
+    let (index, byte) = look.byte;
+    let at = 64 * look.call + index;
+    let hashed = KEY_SIZE + message.len();
+    let expected = if at < KEY_SIZE {
+        key[at]
+    } else if at < hashed {
+        message[at - KEY_SIZE]
+    } else {
+        padding(at, hashed, hashed)
+    };
+    let state = if look.call == 0 {
+        INITIAL
+    } else {
+        outputs[look.call - 1]
+    };
+    assert_eq!(byte, expected);
+    assert_eq!(look.word.1, state[look.word.0]);
+}
+
 /// S3: the tag is the first 6 bytes of the last state, most significant byte of each word first.
 ///
 /// # Panics
@@ -108,8 +142,8 @@ mod twins {
     use hmac::digest::typenum::{U32, U64};
     use hmac::digest::{HashMarker, Output};
     use mavlink_signing::{
-        Frame, FrameRef, Hmac, Profile, SigningKey, Stamp, Timestamp, ZeroizeOnDrop, authenticate,
-        sign_frame,
+        Frame, FrameRef, Hmac, Profile, SigningKey, Stamp, Standard, Timestamp, ZeroizeOnDrop,
+        authenticate, sign_frame,
     };
     use sha2::block_api::compress256;
 
@@ -183,15 +217,24 @@ mod twins {
         impl: BaseFixedTraits Default Clone HashMarker;
     );
 
+    impl ZeroizeOnDrop for Recording {}
+
+    type CallCheck = fn(&[u8; KEY_SIZE], &[u8], &[[u32; 8]], Look);
+
     /// Every length that a frame's tag covers, 19 to 274 bytes, and shorter ones: all block edges.
     #[test]
     fn s3_every_length() {
+        every_length::<Hmac<Recording>, Hmac>(call_is_rfc2104);
+        every_length::<Standard<Recording>, Standard>(call_is_sha256);
+    }
+
+    fn every_length<Recorded: Profile, Real: Profile>(check: CallCheck) {
         let key: [u8; KEY_SIZE] = core::array::from_fn(|i| i as u8 * 7 + 1);
         for length in 0..=274 {
             let message: Vec<u8> = (0..length).map(|i| (i * 5) as u8).collect();
             CALLS.take();
-            let tag = Hmac::<Recording>::new(&key).tag(&message);
-            assert_eq!(tag, <Hmac>::new(&key).tag(&message), "sha2's own core");
+            let tag = Recorded::new(&key).tag(&message);
+            assert_eq!(tag, Real::new(&key).tag(&message), "sha2's own core");
             let calls = CALLS.take();
             let outputs: Vec<[u32; 8]> = calls.iter().map(|(_, _, after)| *after).collect();
             tag_is_cut(&outputs, tag);
@@ -203,7 +246,7 @@ mod twins {
                         byte: (at, *byte),
                         word: (word, before[word]),
                     };
-                    call_is_rfc2104(&key, &message, &outputs, look);
+                    check(&key, &message, &outputs, look);
                 }
             }
         }
@@ -239,7 +282,7 @@ mod twins {
 mod harness {
     use super::*;
     use core::sync::atomic::{AtomicU8, AtomicU32, AtomicUsize, Ordering::Relaxed};
-    use mavlink_signing::{Hmac, Profile};
+    use mavlink_signing::{Hmac, Profile, Standard};
 
     /// Most calls that a frame's tag takes.
     const MOST: usize = calls(274);
@@ -268,28 +311,31 @@ mod harness {
     }
 
     /// Every byte of every block and every word of every state, at places that the solver knows.
-    fn wiring<const LENGTH: usize>() {
+    fn wiring<P: Profile, const LENGTH: usize>(
+        calls: usize,
+        check: impl Fn(&[u8; KEY_SIZE], &[u8], &[[u32; 8]], Look),
+    ) {
         let key: [u8; KEY_SIZE] = kani::any();
         let message: [u8; LENGTH] = kani::any();
-        let tag = <Hmac>::new(&key).tag(&message);
+        let tag = P::new(&key).tag(&message);
 
-        assert_eq!(NUMBER.load(Relaxed), calls(LENGTH));
+        assert_eq!(NUMBER.load(Relaxed), calls);
         let mut outputs = [[0; 8]; MOST];
-        for call in 0..calls(LENGTH) {
+        for call in 0..calls {
             for i in 0..8 {
                 outputs[call][i] = OUTPUTS[call][i].load(Relaxed);
             }
         }
-        let outputs = &outputs[..calls(LENGTH)];
+        let outputs = &outputs[..calls];
         tag_is_cut(outputs, tag);
-        for call in 0..calls(LENGTH) {
+        for call in 0..calls {
             for i in 0..64 {
                 let look = Look {
                     call,
                     byte: (i, BLOCKS[call][i].load(Relaxed)),
                     word: (i % 8, STATES[call][i % 8].load(Relaxed)),
                 };
-                call_is_rfc2104(&key, &message, outputs, look);
+                check(&key, &message, outputs, look);
             }
         }
         kani::cover!(tag == [0; 6], "a tag");
@@ -297,23 +343,31 @@ mod harness {
     }
 
     macro_rules! for_lengths {
-        ($($name:ident $length:literal,)*) => {
+        ($profile:ty, $calls:ident, $check:ident: $($name:ident $length:literal,)*) => {
             $(
                 #[kani::proof]
                 #[kani::unwind(66)]
                 #[kani::stub(sha2::block_api::compress256, any_compression)]
                 fn $name() {
-                    wiring::<$length>();
+                    wiring::<$profile, $length>($calls($length), $check);
                 }
             )*
         };
     }
 
     // A HEARTBEAT; the edge between one inner block and two; the longest frame.
-    for_lengths! {
+    for_lengths! { Hmac, calls, call_is_rfc2104:
         s3_wiring_28 28,
         s3_wiring_55 55,
         s3_wiring_56 56,
         s3_wiring_274 274,
+    }
+
+    // The edge between one block and two; a HEARTBEAT; the longest frame.
+    for_lengths! { Standard, standard_calls, call_is_sha256:
+        s3_standard_23 23,
+        s3_standard_24 24,
+        s3_standard_28 28,
+        s3_standard_274 274,
     }
 }

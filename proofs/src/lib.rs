@@ -16,6 +16,7 @@ pub mod relay;
 pub mod replay;
 pub mod sign;
 pub mod stamp;
+pub mod streams;
 pub mod table;
 pub mod tamper;
 pub mod unforgeable;

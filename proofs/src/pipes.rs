@@ -8,7 +8,7 @@ use mavlink_signing::{
     DecodeError, Decoder, Frame, Packet, Profile, Replay, Resync, SigningKey, Stamper, Timestamp,
     Window, dialect,
 };
-use mavseal_relay::{Counters, Forward, Refusal, Relay, Signer, Verifier};
+use mavseal_relay::{Counters, Forward, Handed, Refusal, Relay, Signer, Verifier};
 
 /// The link id of what the relay signs.
 pub const LINK_OUT: u8 = 1;
@@ -136,7 +136,10 @@ pub fn pipes<P: Profile>(
     });
     let mut verifier = Verifier::new(replay(), forward);
     let verified = in_sequence(Resync::NextByte, secure, |packet| {
-        verifier.verify(packet, &key, now)
+        match verifier.verify(packet, &key, now)? {
+            Handed::Verified(frame) => Ok(frame),
+            Handed::Unsigned(_) => panic!("handed on without a policy"),
+        }
     });
     assert_eq!(secure_pipe.output, signed.output);
     assert_eq!(plain_pipe.output, verified.output);

@@ -1,13 +1,12 @@
 //! L1: nothing from the secure side is signed; nothing unverified leaves on the plain side.
 
 use mavlink_signing::{
-    FrameRef, MessageId, Packet, Profile, SigningKey, Stamper, Timestamp, VerifyError, authenticate,
+    FrameRef, Packet, Profile, SETUP_SIGNING, SigningKey, Stamper, Timestamp, VerifyError,
+    authenticate,
 };
-use mavseal_relay::{Forward, Refusal, Signer, Verifier};
+use mavseal_relay::{Forward, Handed, Refusal, Signer, Verifier};
 
 use crate::model::Resumed;
-
-const SETUP_SIGNING: MessageId = MessageId::from_le_bytes([0, 1, 0]);
 
 /// L1, towards the plain side: a packet is handed on only if it is verified, by a receiver in the
 /// same state; unsigned, or byte for byte as received, as `forward` says. Returns the refusal.
@@ -43,7 +42,8 @@ pub fn only_verified_leaves<P: Profile>(
     let verdict: Result<_, VerifyError> =
         authenticate(received, key).and_then(|authentic| replay.admit(authentic, now));
     match handed_on {
-        Ok(frame) => {
+        Ok(Handed::Unsigned(_)) => panic!("handed on without a policy"),
+        Ok(Handed::Verified(frame)) => {
             assert!(verdict.is_ok());
             let (bytes, original) = (frame.as_bytes(), received.as_bytes());
             let same = match forward {

@@ -4,13 +4,11 @@
 //! signs. They need no port, so that a shell with input and output of its own can use them alone.
 
 use mavlink_signing::{
-    Frame, FrameRef, MessageId, Packet, Profile, Replay, Resync, SigningKey, Stamper, Timestamp,
-    authenticate, sign_frame,
+    Admit, Frame, FrameRef, Packet, Profile, Refuse, Replay, Resync, SETUP_SIGNING, SigningKey,
+    Stamper, Timestamp, UnsignedPolicy, accept_unsigned, authenticate, sign_frame,
 };
 
-use crate::event::{Direction, Refusal};
-
-const SETUP_SIGNING: MessageId = MessageId::from_le_bytes([0, 1, 0]);
+use crate::event::{Direction, Event, Refusal};
 
 /// Plain to secure: signs what is undamaged and unsigned.
 #[derive(Debug)]
@@ -57,20 +55,50 @@ pub enum Forward {
     Whole,
 }
 
-/// Secure to plain: lets verified frames through.
+/// Secure to plain: lets verified frames through, and unsigned ones if a policy accepts them.
 #[derive(Debug)]
-pub struct Verifier {
-    replay: Replay,
+pub struct Verifier<R = Replay, U = Refuse> {
+    receiver: R,
     forward: Forward,
+    link_id: u8,
+    unsigned: U,
 }
 
-impl Verifier {
-    /// Admits what `replay` admits and hands it on as `forward` says.
+impl<R: Admit> Verifier<R> {
+    /// Admits what `receiver` admits and hands it on as `forward` says; nothing that is unsigned.
     #[must_use]
-    pub const fn new(replay: Replay, forward: Forward) -> Self {
-        Self { replay, forward }
+    pub const fn new(receiver: R, forward: Forward) -> Self {
+        Self {
+            receiver,
+            forward,
+            link_id: 0,
+            unsigned: Refuse,
+        }
     }
 
+    /// The same, which also hands on what is unsigned and `policy` accepts. `link_id` is what the
+    /// policy is told of the link.
+    #[must_use]
+    pub fn accepting<U: UnsignedPolicy>(self, link_id: u8, policy: U) -> Verifier<R, U> {
+        Verifier {
+            receiver: self.receiver,
+            forward: self.forward,
+            link_id,
+            unsigned: policy,
+        }
+    }
+}
+
+/// A frame that goes on to the plain side, and why.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Handed {
+    /// It was verified.
+    Verified(Frame),
+    /// It is not signed, nobody knows who sent it, and a policy accepts it.
+    Unsigned(Frame),
+}
+
+impl<R: Admit, U: UnsignedPolicy> Verifier<R, U> {
     /// The frame to hand on for `packet`.
     ///
     /// # Errors
@@ -81,13 +109,17 @@ impl Verifier {
         packet: Packet<'_>,
         key: &SigningKey<P>,
         now: Timestamp,
-    ) -> Result<Frame, Refusal> {
+    ) -> Result<Handed, Refusal> {
         let frame = passable(packet)?;
-        let verified = self.replay.admit(authenticate(frame, key)?, now)?;
-        Ok(match self.forward {
+        if !frame.is_signed() {
+            let accepted = accept_unsigned(frame, self.link_id, &self.unsigned)?;
+            return Ok(Handed::Unsigned(accepted.to_frame()));
+        }
+        let verified = self.receiver.admit(authenticate(frame, key)?, now)?;
+        Ok(Handed::Verified(match self.forward {
             Forward::Stripped => verified.to_unsigned(),
             Forward::Whole => verified.to_frame(),
-        })
+        }))
     }
 }
 
@@ -110,12 +142,13 @@ pub(crate) trait Treat {
     const DIRECTION: Direction;
     const RESYNC: Resync;
 
+    /// The frame that goes on, and the news of it.
     fn treat<P: Profile>(
         &mut self,
         packet: Packet<'_>,
         key: &SigningKey<P>,
         now: Timestamp,
-    ) -> Result<Frame, Refusal>;
+    ) -> Result<(Frame, Event), Refusal>;
 }
 
 impl Treat for Signer {
@@ -127,12 +160,13 @@ impl Treat for Signer {
         packet: Packet<'_>,
         key: &SigningKey<P>,
         now: Timestamp,
-    ) -> Result<Frame, Refusal> {
-        self.sign(packet, key, now)
+    ) -> Result<(Frame, Event), Refusal> {
+        let frame = self.sign(packet, key, now)?;
+        Ok((frame, Event::Passed(Self::DIRECTION)))
     }
 }
 
-impl Treat for Verifier {
+impl<R: Admit, U: UnsignedPolicy> Treat for Verifier<R, U> {
     const DIRECTION: Direction = Direction::SecureToPlain;
     const RESYNC: Resync = Resync::NextByte;
 
@@ -141,7 +175,10 @@ impl Treat for Verifier {
         packet: Packet<'_>,
         key: &SigningKey<P>,
         now: Timestamp,
-    ) -> Result<Frame, Refusal> {
-        self.verify(packet, key, now)
+    ) -> Result<(Frame, Event), Refusal> {
+        Ok(match self.verify(packet, key, now)? {
+            Handed::Verified(frame) => (frame, Event::Passed(Self::DIRECTION)),
+            Handed::Unsigned(frame) => (frame, Event::Unsigned),
+        })
     }
 }

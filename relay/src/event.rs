@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use mavlink_signing::{DecodeError, ParseError, SignError, VerifyError};
+use mavlink_signing::{DecodeError, MessageId, Packet, ParseError, SignError, VerifyError};
 
 /// The way a packet was going.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,13 +46,15 @@ pub enum Refusal {
     TooOld,
     /// Authentic, but not newer than the last accepted frame.
     Replayed,
+    /// Authentic, but of a new stream, for which the receiver has no row left.
+    StreamsFull,
     /// An error that this version of the relay does not know.
     Other,
 }
 
 impl Refusal {
     /// Every reason, in the order of [`Refusal`]'s definition.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Mavlink1,
         Self::SetupSigning,
         Self::UnknownIncompatFlags,
@@ -66,6 +68,7 @@ impl Refusal {
         Self::FromFuture,
         Self::TooOld,
         Self::Replayed,
+        Self::StreamsFull,
         Self::Other,
     ];
 
@@ -86,6 +89,7 @@ impl Refusal {
             Self::FromFuture => "from the future",
             Self::TooOld => "too old",
             Self::Replayed => "replayed",
+            Self::StreamsFull => "streams full",
             Self::Other => "other",
         }
     }
@@ -144,6 +148,8 @@ impl From<VerifyError> for Refusal {
             VerifyError::FromFuture => Self::FromFuture,
             VerifyError::TooOld => Self::TooOld,
             VerifyError::Replayed => Self::Replayed,
+            VerifyError::StreamsFull => Self::StreamsFull,
+            VerifyError::Signed => Self::AlreadySigned,
             _ => Self::Other,
         }
     }
@@ -155,6 +161,8 @@ impl From<VerifyError> for Refusal {
 pub enum Event {
     /// It goes on: signed, or verified.
     Passed(Direction),
+    /// It goes on to the plain side, not signed and accepted by a policy.
+    Unsigned,
     /// It does not.
     Refused(Direction, Refusal),
 }
@@ -168,8 +176,46 @@ pub enum Event {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     passed: u32,
+    unsigned: u32,
     refused: [u32; Refusal::ALL.len()],
+    last_offender: Option<Offender>,
     dropped: u32,
+}
+
+/// Who a refused packet says that it is from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Offender {
+    /// The vehicle or station.
+    pub system_id: u8,
+    /// The part of it.
+    pub component_id: u8,
+    /// The link that it was signed for, if it was signed.
+    pub link_id: Option<u8>,
+    /// Which message it carries.
+    pub message_id: MessageId,
+    /// Why it was refused.
+    pub refusal: Refusal,
+}
+
+impl Offender {
+    pub(crate) fn new(packet: &Packet<'_>, refusal: Refusal) -> Self {
+        let (system_id, component_id, link_id) = match packet {
+            Packet::Mavlink2(frame) => {
+                let header = frame.header();
+                let link_id = frame.signature().map(|signature| signature.stamp.link_id);
+                (header.system_id, header.component_id, link_id)
+            }
+            Packet::Mavlink1(packet) => (packet.system_id(), packet.component_id(), None),
+        };
+        Self {
+            system_id,
+            component_id,
+            link_id,
+            message_id: packet.message_id(),
+            refusal,
+        }
+    }
 }
 
 impl Counters {
@@ -177,6 +223,18 @@ impl Counters {
     #[must_use]
     pub const fn passed(&self) -> u32 {
         self.passed
+    }
+
+    /// Packets passed on unsigned, as a policy accepted them; always 0 towards the secure side.
+    #[must_use]
+    pub const fn unsigned(&self) -> u32 {
+        self.unsigned
+    }
+
+    /// The sender that the last refused packet named: whoever sent it may have named another.
+    #[must_use]
+    pub const fn last_offender(&self) -> Option<Offender> {
+        self.last_offender
     }
 
     /// Bytes that belonged to no packet: noise, and packets that were damaged, cut short or unknown.
@@ -200,11 +258,17 @@ impl Counters {
         self.dropped = dropped;
     }
 
-    pub(crate) const fn count_passed(&mut self) {
-        self.passed = self.passed.saturating_add(1);
+    pub(crate) const fn count_passed(&mut self, event: Event) {
+        let count = match event {
+            Event::Unsigned => &mut self.unsigned,
+            _ => &mut self.passed,
+        };
+        *count = count.saturating_add(1);
     }
 
-    pub(crate) fn count_refused(&mut self, reason: Refusal) {
+    /// `offender` is unknown where no packet could be read.
+    pub(crate) fn count_refused(&mut self, reason: Refusal, offender: Option<Offender>) {
+        self.last_offender = offender.or(self.last_offender);
         if let Some(count) = self.refused.get_mut(reason as usize) {
             *count = count.saturating_add(1);
         }

@@ -43,14 +43,17 @@ mod direction;
 mod event;
 mod pump;
 
-pub use direction::{Forward, Signer, Verifier};
-pub use event::{Counters, Direction, Event, Refusal};
+pub use direction::{Forward, Handed, Signer, Verifier};
+pub use event::{Counters, Direction, Event, Offender, Refusal};
 pub use pump::PortError;
 
 use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Profile, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp};
+use mavlink_signing::{
+    Admit, Profile, Refuse, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp,
+    UnsignedPolicy,
+};
 use pump::Pump;
 
 /// Silence on a line after which a packet that has begun is given up, unless
@@ -114,19 +117,23 @@ impl<PlainError, SecureError> Polled<PlainError, SecureError> {
 }
 
 /// The in-line signer. See the [crate's documentation](crate).
-pub struct Relay<P> {
+///
+/// `R` decides about order: [`Replay`] for one peer, [`Streams`](mavlink_signing::Streams) for several.
+/// `U` says which unsigned frames go on to the plain side all the same: none, unless asked.
+pub struct Relay<P, R = Replay, U = Refuse> {
     link: Link<P>,
     plain_to_secure: Pump<Signer>,
-    secure_to_plain: Pump<Verifier>,
+    secure_to_plain: Pump<Verifier<R, U>>,
 }
 
 /// What both directions share.
 struct Link<P> {
     key: SigningKey<P>,
     idle: u64,
+    link_id: u8,
 }
 
-impl<P> fmt::Debug for Relay<P> {
+impl<P, R, U> fmt::Debug for Relay<P, R, U> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Relay")
             .field("plain_to_secure", self.plain_to_secure.counters())
@@ -135,29 +142,50 @@ impl<P> fmt::Debug for Relay<P> {
     }
 }
 
-impl<P: Profile> Relay<P> {
+impl<P: Profile, R: Admit> Relay<P, R> {
     /// A relay that signs with `key` and the stamps of `stamper`, verifies with `key` and
-    /// `replay`, and hands verified frames on as `forward` says.
+    /// `receiver`, and hands verified frames on as `forward` says.
     ///
     /// # Errors
     ///
-    /// [`SameLinkId`] unless `stamper` and `replay` are for different links.
+    /// [`SameLinkId`] if `receiver` takes frames of the link that `stamper` signs for.
     pub fn new(
         key: SigningKey<P>,
         stamper: Stamper,
-        replay: Replay,
+        receiver: R,
         forward: Forward,
     ) -> Result<Self, SameLinkId> {
-        if stamper.link_id() == replay.link_id() {
-            return Err(SameLinkId(replay.link_id()));
+        let link_id = stamper.link_id();
+        if receiver.takes(link_id) {
+            return Err(SameLinkId(link_id));
         }
         Ok(Self {
-            link: Link { key, idle: IDLE },
+            link: Link {
+                key,
+                idle: IDLE,
+                link_id,
+            },
             plain_to_secure: Pump::new(Signer::new(stamper)),
-            secure_to_plain: Pump::new(Verifier::new(replay, forward)),
+            secure_to_plain: Pump::new(Verifier::new(receiver, forward)),
         })
     }
 
+    /// The same relay, which also hands on to the plain side what comes in unsigned and `policy`
+    /// accepts. The policy is told the link id that the relay signs for.
+    #[must_use]
+    pub fn accepting<U: UnsignedPolicy>(self, policy: U) -> Relay<P, R, U> {
+        let link_id = self.link.link_id;
+        Relay {
+            link: self.link,
+            plain_to_secure: self.plain_to_secure,
+            secure_to_plain: self
+                .secure_to_plain
+                .map(|verifier| verifier.accepting(link_id, policy)),
+        }
+    }
+}
+
+impl<P: Profile, R: Admit, U: UnsignedPolicy> Relay<P, R, U> {
     /// The same relay with `ticks` of silence in place of [`IDLE`]: longer than any pause within a
     /// packet, such as a radio's slots make.
     #[must_use]

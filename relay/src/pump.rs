@@ -6,7 +6,7 @@ use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{Decoder, Frame, Profile, SigningKey, Timestamp, dialect};
 
 use crate::direction::Treat;
-use crate::event::{Counters, Event};
+use crate::event::{Counters, Event, Offender};
 use crate::{Clock, Link};
 
 /// Bytes read at most in one poll.
@@ -62,6 +62,12 @@ struct Sending {
     sent: usize,
 }
 
+impl<T> Pump<T> {
+    pub(crate) const fn counters(&self) -> &Counters {
+        &self.counters
+    }
+}
+
 impl<T: Treat> Pump<T> {
     pub(crate) fn new(treat: T) -> Self {
         Self {
@@ -73,8 +79,15 @@ impl<T: Treat> Pump<T> {
         }
     }
 
-    pub(crate) const fn counters(&self) -> &Counters {
-        &self.counters
+    /// The same direction, which treats packets otherwise from now on.
+    pub(crate) fn map<U: Treat>(self, change: impl FnOnce(T) -> U) -> Pump<U> {
+        Pump {
+            decoder: self.decoder,
+            treat: change(self.treat),
+            sending: self.sending,
+            heard: self.heard,
+            counters: self.counters,
+        }
     }
 
     /// One turn; whether there is more to do at once.
@@ -138,21 +151,23 @@ impl<T: Treat> Pump<T> {
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let decoded = self.decoder.read();
-        let treated = match decoded {
-            Some(Ok(packet)) => Some(self.treat.treat(packet, key, now)),
-            Some(Err(error)) => Some(Err(error.into())),
-            None => None,
-        };
+        let treated = decoded.map(|decoded| match decoded {
+            Ok(packet) => {
+                let treated = self.treat.treat(packet, key, now);
+                treated.map_err(|refusal| (refusal, Some(Offender::new(&packet, refusal))))
+            }
+            Err(error) => Err((error.into(), None)),
+        });
         self.counters.set_dropped(self.decoder.dropped());
         match treated {
             None => return false,
-            Some(Ok(frame)) => {
+            Some(Ok((frame, event))) => {
                 self.sending = Some(Sending { frame, sent: 0 });
-                self.counters.count_passed();
-                observe(Event::Passed(T::DIRECTION));
+                self.counters.count_passed(event);
+                observe(event);
             }
-            Some(Err(refusal)) => {
-                self.counters.count_refused(refusal);
+            Some(Err((refusal, offender))) => {
+                self.counters.count_refused(refusal, offender);
                 observe(Event::Refused(T::DIRECTION, refusal));
             }
         }

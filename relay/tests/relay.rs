@@ -4,11 +4,13 @@ use std::collections::VecDeque;
 
 use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Frame, FrameRef, Header, Hmac, MessageId, Packet, Replay, SigningKey, Stamp, Stamper,
-    Timestamp, VerifyError, Window, crc::checksum, sign_frame,
+    Admit, Frame, FrameRef, Header, Hmac, Links, MessageId, Packet, RadioStatus, Refuse, Replay,
+    SigningKey, Stamp, Stamper, Streams, Timestamp, UnsignedPolicy, VerifyError, Window,
+    crc::checksum, sign_frame,
 };
 use mavseal_relay::{
-    Counters, Direction, Event, Forward, PortError, Refusal, Relay, SameLinkId, Signer, Verifier,
+    Counters, Direction, Event, Forward, Offender, PortError, Refusal, Relay, SameLinkId, Signer,
+    Verifier,
 };
 
 const KEY: [u8; 32] = *b"a key for tests, known to anyone";
@@ -107,8 +109,8 @@ impl Write for Line {
 }
 
 /// A relay, its two lines and its clock.
-struct Bench {
-    relay: Relay<Hmac>,
+struct Bench<R = Replay, U = Refuse> {
+    relay: Relay<Hmac, R, U>,
     plain: Line,
     secure: Line,
     now: u64,
@@ -122,8 +124,14 @@ impl Bench {
 
     fn with(stamper: Stamper, forward: Forward) -> Self {
         let replay = Replay::new(LINK_IN, Window::SEED);
+        Self::of(Relay::new(key(), stamper, replay, forward).expect("different links"))
+    }
+}
+
+impl<R: Admit, U: UnsignedPolicy> Bench<R, U> {
+    fn of(relay: Relay<Hmac, R, U>) -> Self {
         Self {
-            relay: Relay::new(key(), stamper, replay, forward).expect("different links"),
+            relay,
             plain: Line::new(),
             secure: Line::new(),
             now: NOW,
@@ -613,6 +621,7 @@ fn what_is_wrong_is_said() {
             "from the future",
             "too old",
             "replayed",
+            "streams full",
             "other",
         ]
     );
@@ -646,4 +655,53 @@ fn a_relay_is_shown_by_its_counters() {
         format!("Relay {{ plain_to_secure: {out:?}, secure_to_plain: {back:?}, .. }}")
     );
     assert_eq!((out.passed(), back.passed()), (1, 0));
+}
+
+#[test]
+fn a_policy_lets_unsigned_frames_through_as_they_are() {
+    let (stamper, replay) = (Stamper::new(LINK_OUT), Replay::new(LINK_IN, Window::SEED));
+    let relay = Relay::new(key(), stamper, replay, Forward::Stripped).expect("different links");
+    let mut bench = Bench::of(relay.accepting(RadioStatus));
+    let radio_status = Header {
+        compat_flags: 0,
+        sequence: 1,
+        system_id: 51,
+        component_id: 68,
+        message_id: MessageId::from(109),
+    };
+    let radio_status = Frame::new(radio_status, &[0, 0, 1]).expect("a frame");
+    bench.secure_in(radio_status.as_bytes());
+    bench.secure_in(unsigned(&[1, 2, 3]).as_bytes());
+    let verified = signed(&[1, 2, 3], LINK_IN, NOW);
+    bench.secure_in(verified.as_bytes());
+
+    let passed = Event::Passed(Direction::SecureToPlain);
+    let refused = Event::Refused(Direction::SecureToPlain, Refusal::NotSigned);
+    assert_eq!(bench.events, [Event::Unsigned, refused, passed]);
+    let expected = [radio_status.as_bytes(), unsigned(&[1, 2, 3]).as_bytes()].concat();
+    assert_eq!(bench.plain.output, expected);
+    let counters = bench.relay.secure_to_plain();
+    assert_eq!((counters.passed(), counters.unsigned()), (1, 1));
+}
+
+#[test]
+fn several_peers_each_have_their_order() {
+    let streams = Streams::<2>::new(Links::AllBut(LINK_OUT), Window::SEED);
+    let relay = Relay::new(key(), Stamper::new(LINK_OUT), streams, Forward::Whole);
+    let mut bench = Bench::of(relay.expect("different links"));
+    for (link_id, ticks) in [(2, NOW), (3, NOW - 5), (2, NOW), (3, NOW - 4), (4, NOW)] {
+        bench.secure_in(signed(&[1, 2, 3], link_id, ticks).as_bytes());
+    }
+    let counters = bench.relay.secure_to_plain();
+    assert_eq!(counters.passed(), 3);
+    let expected = [(Refusal::Replayed, 1), (Refusal::StreamsFull, 1)];
+    assert_eq!(refusals(counters), expected);
+    let offender = Offender {
+        system_id: 1,
+        component_id: 1,
+        link_id: Some(4),
+        message_id: MessageId::from(0),
+        refusal: Refusal::StreamsFull,
+    };
+    assert_eq!(counters.last_offender(), Some(offender));
 }

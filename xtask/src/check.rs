@@ -12,7 +12,7 @@ use xshell::{Shell, cmd};
 
 use crate::{
     firmware::{self, Chip},
-    fuzz, mutants, proofs,
+    fuzz, interop, mutants, proofs,
     setup::{self, root},
 };
 
@@ -26,7 +26,8 @@ const CORE_TARGETS: [&str; 3] = [
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: the firmware built by the distribution's compiler
+    /// Also what takes long or installs much: the firmware built by the distribution's compiler,
+    /// and unmodified peers
     #[arg(long)]
     all: bool,
 }
@@ -64,6 +65,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if options.all {
         checks.step("firmware by the distribution's compiler", distribution);
         checks.step("mutants of the cores", mutants::all);
+        checks.step("interoperation with unmodified peers", interoperation);
     }
     checks.finish()
 }
@@ -146,7 +148,7 @@ fn shell_with(component: &str) -> Result<Shell> {
 fn formatting() -> Result<()> {
     let sh = shell_with("fmt")?;
     cmd!(sh, "cargo fmt --all --check").run()?;
-    for workspace in ["chips", "fuzz"] {
+    for workspace in ["chips", "fuzz", "interop"] {
         sh.change_dir(root().join(workspace));
         cmd!(sh, "cargo fmt --all --check").run()?;
     }
@@ -226,7 +228,12 @@ fn firmware_lints() -> Result<Option<String>> {
         if !version.arg("--version").output()?.status.success() {
             return Ok(Some(format!("{toolchain} has no clippy")));
         }
-        for features in ["common", "common,logging", "minimal,leaky"] {
+        let standard: &[_] = match chip {
+            Chip::QemuM7 => &["common,logging,standard"],
+            Chip::Stm32c092rc => &[],
+        };
+        let usual = ["common", "common,logging", "minimal,leaky"];
+        for features in usual.iter().chain(standard) {
             let mut cargo = toolchain.cargo("clippy");
             cargo.current_dir(root().join("chips").join(chip.directory()));
             cargo.args(["--quiet", "--locked", "--no-default-features"]);
@@ -285,6 +292,17 @@ fn distribution() -> Result<()> {
     cmd!(sh, "cargo xtask firmware").run()?;
     cmd!(sh, "cargo xtask demo").run()?;
     Ok(())
+}
+
+fn interoperation() -> Result<()> {
+    let sh = shell("interop")?;
+    cmd!(
+        sh,
+        "cargo clippy --quiet --locked --all-targets -- -D warnings"
+    )
+    .run()?;
+    cmd!(sh, "cargo test --quiet --locked").run()?;
+    interop::run(&interop::Options::default())
 }
 
 fn succeed(command: &mut Command) -> Result<()> {

@@ -4,6 +4,7 @@ mod check;
 mod demo;
 mod firmware;
 mod fuzz;
+mod interop;
 mod mutants;
 mod page;
 mod proofs;
@@ -31,6 +32,8 @@ enum Verb {
     Firmware(firmware::Options),
     /// Fuzz every target over the properties, and say what that reaches
     Fuzz(fuzz::Options),
+    /// Hold the standard's signature against unmodified peers, message by message and live
+    Interop(interop::Options),
     /// Try every small change of the cores, which a test must notice
     Mutants(mutants::Options),
     /// Run the proofs with Kani and write what came out to verification.md
@@ -62,6 +65,7 @@ fn run(verb: Verb) -> anyhow::Result<()> {
         Verb::Demo(options) => demo::run(&options),
         Verb::Firmware(options) => firmware::run(&options),
         Verb::Fuzz(options) => fuzz::run(&options),
+        Verb::Interop(options) => interop::run(&options),
         Verb::Mutants(options) => mutants::run(&options),
         Verb::Proofs(options) => proofs::run(&options),
         Verb::RunQemu(options) => qemu::run(&options),

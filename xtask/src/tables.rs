@@ -99,18 +99,23 @@ fn definitions(metadata: &Metadata) -> Result<PathBuf> {
 struct Dialect {
     /// The file's name without `.xml`, in lower case: the name of the feature and of the table.
     feature: String,
-    #[cfg_attr(
-        not(test),
-        expect(dead_code, reason = "the tests give it to other generators")
-    )]
     xml: PathBuf,
     messages: BTreeMap<u32, Message>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
-struct Message {
-    name: String,
-    crc_extra: u8,
+pub(crate) struct Message {
+    pub(crate) name: String,
+    pub(crate) crc_extra: u8,
+    /// Bytes of payload without extensions, and with them.
+    pub(crate) sizes: [usize; 2],
+}
+
+/// The largest dialect: where its definition is, and its messages by their ids.
+pub(crate) fn largest() -> Result<(PathBuf, BTreeMap<u32, Message>)> {
+    let dialects = dialects(&definitions(&metadata()?)?)?;
+    let largest = dialects.into_iter().next().context("no dialect")?;
+    Ok((largest.xml, largest.messages))
 }
 
 /// Every dialect, that with the most messages first, so that none comes after a part of it.
@@ -159,10 +164,11 @@ fn read_definition(
         let id = attribute(node, "id")?.parse()?;
         ensure!(id < 1 << 24, "message id {id} has more than 3 bytes");
         let name = attribute(node, "name")?;
-        let crc_extra = crc_extra(node).with_context(|| format!("{name} in {}", xml.display()))?;
+        let place = || format!("{name} in {}", xml.display());
         let message = Message {
             name: name.to_owned(),
-            crc_extra,
+            crc_extra: crc_extra(node).with_context(place)?,
+            sizes: sizes(node).with_context(place)?,
         };
         if let Some(other) = messages.insert(id, message.clone()) {
             ensure!(
@@ -173,6 +179,22 @@ fn read_definition(
         }
     }
     Ok(())
+}
+
+/// Bytes of payload without extensions, and with them.
+fn sizes(message: Node) -> Result<[usize; 2]> {
+    let [mut base, mut all] = [0, 0];
+    let mut extensions = false;
+    for node in message.children() {
+        extensions |= node.has_tag_name("extensions");
+        if node.has_tag_name("field") {
+            let field = Field::new(node)?;
+            let size = usize::from(field.size) * usize::from(field.array_length.unwrap_or(1));
+            all += size;
+            base += if extensions { 0 } else { size };
+        }
+    }
+    Ok([base, all])
 }
 
 /// The checksum of what the two ends of a link must agree on: the message's name and its fields in
@@ -272,7 +294,13 @@ fn table(dialect: &Dialect, version: &str) -> Result<String> {
          pub(super) const ROWS: &[u32] = &[\n",
         messages.len()
     );
-    for (id, Message { name, crc_extra }) in messages {
+    for (
+        id,
+        Message {
+            name, crc_extra, ..
+        },
+    ) in messages
+    {
         let (high, low) = (id >> 8, (id & 0xff) << 8 | u32::from(*crc_extra));
         writeln!(text, "    0x{high:04x}_{low:04x}, // {id} {name}")?;
     }
@@ -354,15 +382,20 @@ mod tests {
             .iter()
             .find(|dialect| dialect.feature == "common")
             .unwrap();
-        for (id, name, crc_extra) in [
-            (0, "HEARTBEAT", 50),
-            (76, "COMMAND_LONG", 152),
-            (109, "RADIO_STATUS", 185),
-            (256, "SETUP_SIGNING", 71),
-            (300, "PROTOCOL_VERSION", 217),
+        for (id, name, crc_extra, sizes) in [
+            (0, "HEARTBEAT", 50, [9, 9]),
+            (24, "GPS_RAW_INT", 24, [30, 52]),
+            (76, "COMMAND_LONG", 152, [33, 33]),
+            (109, "RADIO_STATUS", 185, [9, 9]),
+            (256, "SETUP_SIGNING", 71, [42, 42]),
+            (300, "PROTOCOL_VERSION", 217, [22, 22]),
         ] {
-            let name = name.to_owned();
-            assert_eq!(common.messages[&id], Message { name, crc_extra });
+            let message = Message {
+                name: name.to_owned(),
+                crc_extra,
+                sizes,
+            };
+            assert_eq!(common.messages[&id], message);
         }
     }
 
@@ -381,15 +414,13 @@ mod tests {
                     .unwrap();
             let theirs = profile.messages.into_values().map(|message| {
                 let crc_extra = mavlink_bindgen::parser::extra_crc(&message);
-                (
-                    message.id,
-                    Message {
-                        name: message.name,
-                        crc_extra,
-                    },
-                )
+                (message.id, (message.name, crc_extra))
             });
-            assert_eq!(messages, theirs.collect(), "{feature}");
+            let ours = messages
+                .into_iter()
+                .map(|(id, message)| (id, (message.name, message.crc_extra)));
+            let theirs: BTreeMap<_, _> = theirs.collect();
+            assert_eq!(ours.collect::<BTreeMap<_, _>>(), theirs, "{feature}");
         }
     }
 
@@ -412,7 +443,13 @@ mod tests {
         } in published()
         {
             rows += messages.len();
-            for (id, Message { name, crc_extra }) in messages {
+            for (
+                id,
+                Message {
+                    name, crc_extra, ..
+                },
+            ) in messages
+            {
                 if let Some(theirs) = pymavlink.get(name.as_str()) {
                     let differs = PYMAVLINK_DIFFERS.iter().any(|(listed, _)| *listed == name);
                     assert_eq!((id, crc_extra) != *theirs, differs, "{name} of {feature}");

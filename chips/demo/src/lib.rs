@@ -15,3 +15,5 @@ pub use run::{Failed, Memory, run};
 
 /// The key of the demonstrations. It is public: never use it.
 pub const DEMO_KEY: [u8; 32] = *include_bytes!("../demo.key");
+/// What the key of demonstrations with others' ground stations is made of. It is public: never use it.
+pub const DEMO_PASSPHRASE: &str = include_str!("../demo.passphrase");

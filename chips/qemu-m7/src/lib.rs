@@ -18,7 +18,7 @@ use cortex_m as _;
 use defmt_semihosting as _;
 
 pub use clock::{Timer, WallClock};
-pub use mavseal_demo::{DEMO_KEY, info, warn};
+pub use mavseal_demo::{DEMO_KEY, DEMO_PASSPHRASE, info, warn};
 pub use semihosting::process::exit;
 pub use uart::{Overrun, Uart};
 

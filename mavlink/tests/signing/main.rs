@@ -5,3 +5,5 @@ mod decoder;
 mod dialect;
 mod frames;
 mod seed;
+mod standard;
+mod vectors;

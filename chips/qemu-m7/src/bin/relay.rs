@@ -4,16 +4,72 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use mavlink_signing::{Hmac, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp, Window};
-use mavseal_qemu_m7::{Board, DEMO_KEY, Overrun, WallClock, exit, info, warn};
+use mavlink_signing::{Stamper, TICKS_PER_SECOND, Timestamp};
+use mavseal_qemu_m7::{Board, Overrun, WallClock, exit, info, warn};
 use mavseal_relay::{Clock, Counters, Direction, Event, Forward, PortError, Refusal, Relay};
 
 /// The link id of the frames that this end signs.
 const LINK_OUT: u8 = 1;
-/// The link id of the frames that the peer signs.
-const LINK_IN: u8 = 2;
 /// Silence after which the counters are logged: one second.
 const QUIET: u64 = TICKS_PER_SECOND;
+
+/// With mavseal at both ends: its own profile, one peer, and a clock that both share.
+#[cfg(not(feature = "standard"))]
+mod peer {
+    use mavlink_signing::{Hmac, KeyError, Replay, SigningKey, Window};
+    use mavseal_qemu_m7::{DEMO_KEY, info};
+
+    /// The link id of the frames that the peer signs.
+    const LINK_IN: u8 = 2;
+
+    pub(super) type Profile = Hmac;
+    pub(super) type Receiver = Replay;
+
+    pub(super) fn key() -> Result<SigningKey<Profile>, KeyError> {
+        SigningKey::new(&DEMO_KEY)
+    }
+
+    pub(super) fn receiver() -> Receiver {
+        info!(
+            "In-line signer: signs on link {}, verifies link {}",
+            super::LINK_OUT,
+            LINK_IN
+        );
+        Replay::new(LINK_IN, Window::SEED)
+    }
+}
+
+/// With MAVProxy and other ground stations: the standard's signature, a key that can be typed, a stream
+/// for each of them, and the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp
+/// Handling), either way.
+#[cfg(feature = "standard")]
+mod peer {
+    use mavlink_signing::{
+        KeyError, Links, SigningKey, Standard, Streams, TICKS_PER_SECOND, Window,
+    };
+    use mavseal_qemu_m7::{DEMO_PASSPHRASE, info};
+
+    pub(super) type Profile = Standard;
+    pub(super) type Receiver = Streams<8>;
+
+    const MINUTE: u64 = 60 * TICKS_PER_SECOND;
+    const WINDOW: Window = Window {
+        past: MINUTE,
+        ahead: MINUTE,
+    };
+
+    pub(super) fn key() -> Result<SigningKey<Profile>, KeyError> {
+        SigningKey::from_passphrase(DEMO_PASSPHRASE)
+    }
+
+    pub(super) fn receiver() -> Receiver {
+        info!(
+            "In-line signer: signs on link {}, verifies the others",
+            super::LINK_OUT
+        );
+        Streams::new(Links::AllBut(super::LINK_OUT), WINDOW)
+    }
+}
 
 #[entry]
 fn main() -> ! {
@@ -24,20 +80,16 @@ fn main() -> ! {
         warn!("The relay needs a clock, and nobody tells the time");
         exit(1);
     };
-    let Ok(key) = SigningKey::<Hmac>::new(&DEMO_KEY) else {
+    let Ok(key) = peer::key() else {
         warn!("The key cannot be used");
         exit(1);
     };
-    let replay = Replay::new(LINK_IN, Window::SEED);
-    let Ok(mut relay) = Relay::new(key, Stamper::new(LINK_OUT), replay, Forward::Stripped) else {
+    let stamper = Stamper::new(LINK_OUT);
+    let Ok(mut relay) = Relay::new(key, stamper, peer::receiver(), Forward::Stripped) else {
         warn!("Both directions have the same link id");
         exit(1);
     };
     let [mut plain, mut secure] = board.uarts;
-    info!(
-        "In-line signer: signs on link {}, verifies link {}",
-        LINK_OUT, LINK_IN
-    );
 
     let mut log = Log::default();
     loop {
@@ -93,7 +145,7 @@ impl Log {
         }
     }
 
-    fn turn(&mut self, moved: bool, now: Timestamp, relay: &Relay<Hmac>) {
+    fn turn(&mut self, moved: bool, now: Timestamp, relay: &Relay<peer::Profile, peer::Receiver>) {
         if moved {
             self.moved = Some(now);
         } else if self.moved.is_some_and(|last| now.ticks_since(last) > QUIET) {

@@ -1,0 +1,221 @@
+//! What was seen: counts for the table, differences, and what must not have been.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde::Serialize;
+
+use crate::differences::{self, Difference};
+
+/// A row of the table.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(crate) struct Row {
+    pub(crate) peer: String,
+    pub(crate) version: String,
+    pub(crate) direction: &'static str,
+    pub(crate) messages: usize,
+    pub(crate) frames: usize,
+    pub(crate) agreed: usize,
+    /// The scenarios in which the peer does something else, for a known reason.
+    pub(crate) differences: BTreeSet<&'static str>,
+}
+
+/// Everything, as it is handed to whoever prints the table.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    pub(crate) seed: u64,
+    pub(crate) rows: Vec<Row>,
+    pub(crate) reasons: Vec<Reason>,
+    pub(crate) failures: Vec<String>,
+}
+
+/// Why a peer does something else.
+#[derive(Debug, Serialize)]
+pub(crate) struct Reason {
+    pub(crate) peer: &'static str,
+    pub(crate) scenario: &'static str,
+    pub(crate) reason: &'static str,
+}
+
+/// Compares what passes with what is to pass, and remembers it.
+pub(crate) struct Judge {
+    rows: Vec<Row>,
+    listed: BTreeMap<(&'static str, &'static str), Listed>,
+    /// What failed, and how often: one line for each, not for each message.
+    failures: BTreeMap<String, (usize, String)>,
+}
+
+struct Listed {
+    difference: Difference,
+    seen: bool,
+}
+
+impl Judge {
+    pub(crate) fn new() -> Self {
+        let listed = differences::all().map(|difference| {
+            let key = (difference.peer, difference.scenario);
+            let seen = false;
+            (key, Listed { difference, seen })
+        });
+        Self {
+            rows: Vec::new(),
+            listed: listed.collect(),
+            failures: BTreeMap::new(),
+        }
+    }
+
+    /// Begins a row; what is judged from now on is counted in it.
+    pub(crate) fn begin(
+        &mut self,
+        peer: &str,
+        version: &str,
+        direction: &'static str,
+        messages: usize,
+    ) {
+        self.rows.push(Row {
+            peer: peer.to_owned(),
+            version: version.to_owned(),
+            direction,
+            messages,
+            ..Row::default()
+        });
+    }
+
+    /// `passes` frame by frame in a scenario, `right` what is right; `example` is a frame to look at.
+    pub(crate) fn compare(
+        &mut self,
+        peer: &'static str,
+        scenario: &'static str,
+        right: &[bool],
+        passes: &[bool],
+        example: impl FnOnce() -> String,
+    ) {
+        let listed = self.listed.get_mut(&(peer, scenario));
+        let known = listed
+            .as_ref()
+            .is_some_and(|listed| listed.difference.passes == passes);
+        let agreed = right
+            .iter()
+            .zip(passes)
+            .filter(|(right, passes)| right == passes)
+            .count();
+        if let Some(row) = self.rows.last_mut() {
+            row.frames += right.len();
+            row.agreed += agreed;
+            if known && right != passes {
+                row.differences.insert(scenario);
+            }
+        }
+        if right == passes {
+            return;
+        }
+        match listed {
+            Some(listed) if known => listed.seen = true,
+            _ => {
+                let what = format!("{peer}, {scenario}: {passes:?}, and right is {right:?}");
+                let (times, _) = self.failures.entry(what).or_insert_with(|| (0, example()));
+                *times += 1;
+            }
+        }
+    }
+
+    /// Something that must not be, in this implementation or in a peer.
+    pub(crate) fn fail(&mut self, what: String, example: impl FnOnce() -> String) {
+        let (times, _) = self.failures.entry(what).or_insert_with(|| (0, example()));
+        *times += 1;
+    }
+
+    pub(crate) fn finish(self, seed: u64) -> Report {
+        let mut failures: Vec<String> = self
+            .failures
+            .into_iter()
+            .map(|(what, (times, example))| format!("{what} ({times} times; {example})"))
+            .collect();
+        let mut reasons = Vec::new();
+        for Listed { difference, seen } in self.listed.into_values() {
+            let Difference {
+                peer,
+                scenario,
+                reason,
+                ..
+            } = difference;
+            if !seen {
+                failures.push(format!(
+                    "{peer}, {scenario}: listed as a difference, and there is none"
+                ));
+            }
+            reasons.push(Reason {
+                peer,
+                scenario,
+                reason,
+            });
+        }
+        Report {
+            seed,
+            rows: self.rows,
+            reasons,
+            failures,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Judge;
+
+    const LISTED: (&str, &str) = ("pymavlink", "2 minutes ahead");
+
+    fn failures(judge: Judge) -> Vec<String> {
+        judge.finish(0).failures
+    }
+
+    #[test]
+    fn a_listed_difference_that_is_not_seen_fails() {
+        let of = |failures: &[String]| {
+            let (peer, scenario) = LISTED;
+            let start = format!("{peer}, {scenario}: ");
+            failures
+                .iter()
+                .filter(|what| what.starts_with(&start))
+                .count()
+        };
+        let mut judge = Judge::new();
+        judge.compare(LISTED.0, LISTED.1, &[false], &[false], String::new);
+        assert_eq!(of(&failures(judge)), 1);
+
+        let mut judge = Judge::new();
+        judge.compare(LISTED.0, LISTED.1, &[false], &[true], String::new);
+        assert_eq!(of(&failures(judge)), 0);
+    }
+
+    #[test]
+    fn a_difference_that_is_not_listed_fails() {
+        let none = failures(Judge::new()).len();
+        let mut judge = Judge::new();
+        judge.begin("pymavlink", "0", "here", 1);
+        judge.compare("pymavlink", "tag changed", &[false], &[true], String::new);
+        judge.compare("pymavlink", "tag changed", &[false], &[true], String::new);
+        assert_eq!(judge.rows[0].agreed, 0);
+        let failures = failures(judge);
+        assert_eq!(failures.len(), none + 1);
+        assert!(
+            failures
+                .iter()
+                .any(|what| what.contains("tag changed") && what.contains("2 times"))
+        );
+    }
+
+    #[test]
+    fn another_difference_than_the_listed_one_fails() {
+        let none = failures(Judge::new()).len();
+        let mut judge = Judge::new();
+        let scenario = "one 2 minutes ahead, then another stream";
+        judge.compare(
+            "pymavlink",
+            scenario,
+            &[false, true],
+            &[false, false],
+            String::new,
+        );
+        assert_eq!(failures(judge).len(), none + 1);
+    }
+}

@@ -1,0 +1,135 @@
+//! SETUP_SIGNING, which carries a key, and what of a frame may be written to a log.
+
+use core::{fmt, iter};
+
+use zeroize::{Zeroize, ZeroizeOnDrop};
+
+use crate::error::SignError;
+use crate::frame::{Frame, FrameRef};
+use crate::header::{Header, MessageId};
+use crate::key::KEY_SIZE;
+use crate::time::Timestamp;
+
+/// SETUP_SIGNING, message 256.
+pub const SETUP_SIGNING: MessageId = MessageId::from_le_bytes([0, 1, 0]);
+
+/// Bytes of a timestamp in the payload: a whole 64-bit word.
+const INITIAL_TIMESTAMP_SIZE: usize = 8;
+/// Where the key begins: after the timestamp, the target system and the target component.
+const SECRET_KEY: usize = INITIAL_TIMESTAMP_SIZE + 2;
+/// Bytes of the payload: 42.
+const PAYLOAD_SIZE: usize = SECRET_KEY + KEY_SIZE;
+
+/// A key on its way to one component, and the timestamp to begin with (MAVLink guide, "Message
+/// Signing", Sharing Secret Keys).
+///
+/// It is sent in plain text: over a cable, or a link that nobody else can read. [`Debug`] does not show
+/// the key, and it is wiped when this is dropped.
+#[derive(PartialEq, Eq)]
+pub struct SetupSigning {
+    /// Whom the key is for.
+    pub target_system: u8,
+    /// Which part of it.
+    pub target_component: u8,
+    /// The key.
+    pub secret_key: [u8; KEY_SIZE],
+    /// The timestamp to begin with.
+    pub initial_timestamp: Timestamp,
+}
+
+impl SetupSigning {
+    /// What a payload of a SETUP_SIGNING frame says; its trailing zeros may be cut. `None` if it is
+    /// longer than 42 bytes, or its timestamp than 48 bits.
+    ///
+    /// A key of zeros only, which asks the receiver to stop signing, is given as it is:
+    /// [`SigningKey::new`](crate::SigningKey::new) refuses it.
+    #[must_use]
+    pub fn from_payload(payload: &[u8]) -> Option<Self> {
+        let mut bytes = [0; PAYLOAD_SIZE];
+        bytes.get_mut(..payload.len())?.copy_from_slice(payload);
+        let setup = Self::read(&bytes);
+        bytes.zeroize();
+        setup
+    }
+
+    fn read(bytes: &[u8; PAYLOAD_SIZE]) -> Option<Self> {
+        let (ticks, rest) = bytes.split_first_chunk()?;
+        let (&[target_system, target_component], key) = rest.split_first_chunk()?;
+        Some(Self {
+            target_system,
+            target_component,
+            secret_key: *key.first_chunk()?,
+            initial_timestamp: Timestamp::from_ticks(u64::from_le_bytes(*ticks))?,
+        })
+    }
+
+    /// The frame that carries it: unsigned, with the fields of `header` but the message id.
+    ///
+    /// # Errors
+    ///
+    /// [`SignError::UnknownMessage`] if the dialect is `minimal`, which has no such message.
+    pub fn to_frame(&self, header: Header) -> Result<Frame, SignError> {
+        let mut payload = [0; PAYLOAD_SIZE];
+        let ticks = self.initial_timestamp.ticks().to_le_bytes();
+        let targets = [self.target_system, self.target_component];
+        let parts = ticks.iter().chain(&targets).chain(&self.secret_key);
+        for (slot, byte) in payload.iter_mut().zip(parts) {
+            *slot = *byte;
+        }
+        let header = Header {
+            message_id: SETUP_SIGNING,
+            ..header
+        };
+        let frame = Frame::new(header, without_trailing_zeros(&payload));
+        payload.zeroize();
+        frame
+    }
+}
+
+impl fmt::Debug for SetupSigning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SetupSigning")
+            .field("target_system", &self.target_system)
+            .field("target_component", &self.target_component)
+            .field("initial_timestamp", &self.initial_timestamp)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Drop for SetupSigning {
+    fn drop(&mut self) {
+        self.secret_key.zeroize();
+    }
+}
+
+impl ZeroizeOnDrop for SetupSigning {}
+
+/// A payload as it is sent: zeros at its end are cut, its first byte is kept (MAVLink guide, "Packet
+/// Serialization", Payload Truncation).
+#[must_use]
+pub fn without_trailing_zeros(payload: &[u8]) -> &[u8] {
+    let last = payload.iter().rposition(|byte| *byte != 0).unwrap_or(0);
+    payload.get(..=last).unwrap_or(payload)
+}
+
+/// The frame as it may be written to a log: signature removed, flag cleared, the key of SETUP_SIGNING
+/// overwritten with 0xFF (MAVLink guide, "Message Signing", Logging).
+///
+/// # Errors
+///
+/// [`SignError::UnknownMessage`], [`SignError::BadChecksum`]: there is no telling what its bytes hold;
+/// log their number instead.
+pub fn redact_for_log(frame: FrameRef<'_>) -> Result<Frame, SignError> {
+    let header = frame.header();
+    // Whatever it is a copy of was undamaged.
+    Frame::try_from(frame)?;
+    if header.message_id != SETUP_SIGNING {
+        return Frame::new(header, frame.payload());
+    }
+    let mut masked = [0xFF; PAYLOAD_SIZE];
+    let shown = frame.payload().iter().copied().chain(iter::repeat(0));
+    for (slot, byte) in masked.iter_mut().zip(shown).take(SECRET_KEY) {
+        *slot = byte;
+    }
+    Frame::new(header, &masked)
+}

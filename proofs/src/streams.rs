@@ -1,0 +1,226 @@
+//! R2: several streams, one timestamp each, in a table that never gives up a row.
+
+use mavlink_signing::{
+    Frame, FrameRef, Header, Links, Profile, SigningKey, Stamp, Stream, Streams, Timestamp,
+    VerifyError, authenticate, sign_frame,
+};
+
+/// R2, one step from any state: an authentic frame is accepted if and only if it is of a link that is
+/// taken, in the window, newer than every accepted one of its stream, and has a row or a free one;
+/// otherwise the error names the first that is wrong. An accepted frame changes the row of its stream
+/// alone; a refused one changes nothing; no row is ever lost.
+///
+/// `first` is the first timestamp that is fresh in a new stream. Returns the verdict.
+///
+/// # Errors
+///
+/// The verdict, where it is a refusal.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn step<P: Profile, const N: usize>(
+    streams: &mut Streams<N>,
+    first: Timestamp,
+    key: &SigningKey<P>,
+    header: Header,
+    stamp: Stamp,
+    now: Timestamp,
+) -> Result<(), VerifyError> {
+    let mut frame = Frame::new(header, &[]).expect("a known message");
+    sign_frame(&mut frame, key, stamp).expect("not signed yet");
+    let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
+    let authentic = authenticate(received, key).expect("signed with this key");
+
+    let before = rows(streams);
+    let expected = specified(streams, &before, first, header, stamp, now);
+    let verdict = streams.admit(authentic, now).map(drop);
+    assert_eq!(verdict, expected);
+
+    let after = rows(streams);
+    let ours = Stream {
+        link_id: stamp.link_id,
+        system_id: header.system_id,
+        component_id: header.component_id,
+    };
+    for (old, new) in before.iter().zip(&after) {
+        let Some((stream, last)) = old else {
+            let taken = verdict.is_ok() && *new == Some((ours, Some(stamp.timestamp)));
+            assert!(new.is_none() || taken);
+            continue;
+        };
+        let last = if verdict.is_ok() && *stream == ours {
+            Some(stamp.timestamp)
+        } else {
+            *last
+        };
+        assert_eq!(*new, Some((*stream, last)));
+    }
+    let count = |rows: &[Option<_>; N]| rows.iter().flatten().count();
+    let new_stream = verdict.is_ok() && last_of(&before, ours).is_none();
+    assert_eq!(count(&after), count(&before) + usize::from(new_stream));
+    verdict
+}
+
+type Rows<const N: usize> = [Option<(Stream, Option<Timestamp>)>; N];
+
+/// The rows in the table's order; what is not taken is `None`.
+fn rows<const N: usize>(streams: &Streams<N>) -> Rows<N> {
+    let mut rows = [None; N];
+    for (slot, row) in rows.iter_mut().zip(streams.rows()) {
+        *slot = Some(row);
+    }
+    rows
+}
+
+fn last_of<const N: usize>(rows: &Rows<N>, ours: Stream) -> Option<Option<Timestamp>> {
+    let row = rows.iter().flatten().find(|(stream, _)| *stream == ours);
+    row.map(|(_, last)| *last)
+}
+
+/// The verdict on an authentic frame, condition by condition.
+fn specified<const N: usize>(
+    streams: &Streams<N>,
+    rows: &Rows<N>,
+    first: Timestamp,
+    header: Header,
+    stamp: Stamp,
+    now: Timestamp,
+) -> Result<(), VerifyError> {
+    let taken = match streams.links() {
+        Links::Any => true,
+        Links::AllBut(own) => stamp.link_id != own,
+        Links::Only(link_id) => stamp.link_id == link_id,
+    };
+    if !taken {
+        return Err(VerifyError::WrongLink(stamp.link_id));
+    }
+    let (ticks, now) = (stamp.timestamp.ticks(), now.ticks());
+    if ticks > now.saturating_add(streams.window().ahead) {
+        return Err(VerifyError::FromFuture);
+    }
+    if ticks < now.saturating_sub(streams.window().past) {
+        return Err(VerifyError::TooOld);
+    }
+    let ours = Stream {
+        link_id: stamp.link_id,
+        system_id: header.system_id,
+        component_id: header.component_id,
+    };
+    match last_of(rows, ours) {
+        Some(last) if last.is_some_and(|last| stamp.timestamp <= last) => {
+            Err(VerifyError::Replayed)
+        }
+        Some(_) => Ok(()),
+        None if stamp.timestamp < first => Err(VerifyError::Replayed),
+        None if rows.iter().flatten().count() == N => Err(VerifyError::StreamsFull),
+        None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use crate::HEARTBEAT;
+    use mavlink_signing::{Hmac, Window};
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn r2_random(
+            frames in proptest::collection::vec((1..3_u8, 0..3_u8, 0..2_u8, 0..60_u64, 0..60_u64), 0..40),
+            links in 0..3_u8,
+            first in 0..40_u64,
+        ) {
+            let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
+            let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+            let links = [Links::Any, Links::AllBut(2), Links::Only(1)][usize::from(links)];
+            let window = Window { past: 30, ahead: 20 };
+            let mut streams = Streams::<4>::resume(links, window, at(first));
+            for (link_id, system_id, component_id, ticks, now) in frames {
+                let header = Header { system_id, component_id, ..HEARTBEAT };
+                let stamp = Stamp { link_id, timestamp: at(ticks) };
+                let _ = step(&mut streams, at(first), &key, header, stamp, at(now));
+            }
+        }
+    }
+
+    /// A full table refuses what is new and goes on with what it knows.
+    #[test]
+    fn r2_full() {
+        let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let mut streams = Streams::<2>::new(Links::Any, Window::SEED);
+        let mut verdict = |system_id, ticks| {
+            let header = Header {
+                system_id,
+                ..HEARTBEAT
+            };
+            let stamp = Stamp {
+                link_id: 1,
+                timestamp: at(ticks),
+            };
+            step(&mut streams, Timestamp::ZERO, &key, header, stamp, at(9))
+        };
+        assert_eq!(verdict(1, 5), Ok(()));
+        assert_eq!(verdict(2, 3), Ok(()));
+        assert_eq!(verdict(3, 6), Err(VerifyError::StreamsFull));
+        assert_eq!(verdict(2, 3), Err(VerifyError::Replayed));
+        assert_eq!(verdict(2, 4), Ok(()));
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+    use crate::HEARTBEAT;
+    use crate::model::AnyTag;
+    use crate::replay::{any_stamp, any_timestamp};
+    use mavlink_signing::Window;
+
+    fn any_row() -> (Stream, Timestamp) {
+        let stream = Stream {
+            link_id: kani::any(),
+            system_id: kani::any(),
+            component_id: kani::any(),
+        };
+        (stream, any_timestamp())
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r2_step() {
+        let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
+        let links = match kani::any() {
+            0_u8 => Links::Any,
+            1 => Links::AllBut(kani::any()),
+            _ => Links::Only(kani::any()),
+        };
+        let window = Window {
+            past: kani::any(),
+            ahead: kani::any(),
+        };
+        let first = any_timestamp();
+        let rows = [any_row(), any_row()];
+        let taken = kani::any();
+        kani::assume(taken <= rows.len() && rows[0].0 != rows[1].0);
+        let mut streams = Streams::<2>::resume(links, window, first).holding(&rows[..taken]);
+        let header = Header {
+            system_id: kani::any(),
+            component_id: kani::any(),
+            ..HEARTBEAT
+        };
+        let verdict = step(
+            &mut streams,
+            first,
+            &key,
+            header,
+            any_stamp(),
+            any_timestamp(),
+        );
+        kani::cover!(verdict.is_ok() && taken == 2, "known, in a full table");
+        kani::cover!(verdict.is_ok() && taken == 0, "new");
+        kani::cover!(verdict == Err(VerifyError::StreamsFull), "full");
+        kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
+    }
+}
