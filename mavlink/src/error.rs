@@ -76,6 +76,17 @@ pub enum VerifyError {
     Signed,
 }
 
+/// Why a payload does not carry a key. Its sender is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SetupError {
+    /// More than the 42 bytes of SETUP_SIGNING: this many.
+    TooLong(usize),
+    /// A timestamp of more than 48 bits: this one.
+    TimestampTooLong(u64),
+}
+
 impl From<ParseError> for VerifyError {
     fn from(error: ParseError) -> Self {
         Self::Parse(error)
@@ -124,6 +135,25 @@ impl fmt::Display for ParseError {
     }
 }
 
+impl fmt::Display for SetupError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong(length) => {
+                write!(
+                    f,
+                    "SETUP_SIGNING has 42 bytes of payload, this has {length}"
+                )
+            }
+            Self::TimestampTooLong(ticks) => {
+                write!(
+                    f,
+                    "a timestamp has {TIMESTAMP_SIZE} bytes, {ticks:#X} has more"
+                )
+            }
+        }
+    }
+}
+
 impl fmt::Display for VerifyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -145,6 +175,7 @@ impl fmt::Display for VerifyError {
 impl core::error::Error for KeyError {}
 impl core::error::Error for SignError {}
 impl core::error::Error for ParseError {}
+impl core::error::Error for SetupError {}
 impl core::error::Error for VerifyError {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         match self {

@@ -46,6 +46,10 @@ impl<P: Profile> SigningKey<P> {
     /// Planner make it.
     ///
     /// As hard to guess as the pass-phrase, and no harder: a hash is tried a billion times a second.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyError::AllZero`], which no pass-phrase is known to give.
     pub fn from_passphrase(passphrase: &str) -> Result<Self, KeyError> {
         let mut digest = Sha256::digest(passphrase);
         let key = Self::new(&digest);

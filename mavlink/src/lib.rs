@@ -33,7 +33,7 @@ mod unsigned;
 mod verify;
 
 pub use decoder::{DecodeError, Decoder, Mavlink1, Packet, Resync};
-pub use error::{KeyError, ParseError, SignError, VerifyError};
+pub use error::{KeyError, ParseError, SetupError, SignError, VerifyError};
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
 pub use key::{Fingerprint, KEY_SIZE, SigningKey};

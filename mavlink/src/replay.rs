@@ -1,6 +1,7 @@
 //! Replay protection: the link, the window and the last accepted timestamp of one stream.
 
 use crate::error::VerifyError;
+use crate::frame::FrameRef;
 use crate::time::{Fresh, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
@@ -18,8 +19,12 @@ pub trait Admit {
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError>;
 
-    /// Whether frames made for `link_id` are let through at all.
-    fn takes(&self, link_id: u8) -> bool;
+    /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back.
+    fn sent(&mut self, frame: FrameRef<'_>);
+
+    /// Whether a frame that this end sends for `link_id`, and tells [of](Admit::sent), is refused when
+    /// it comes back.
+    fn refuses_own(&self, link_id: u8) -> bool;
 }
 
 impl Admit for Replay {
@@ -31,8 +36,10 @@ impl Admit for Replay {
         Self::admit(self, frame, now)
     }
 
-    fn takes(&self, link_id: u8) -> bool {
-        link_id == self.link_id()
+    fn sent(&mut self, _frame: FrameRef<'_>) {}
+
+    fn refuses_own(&self, link_id: u8) -> bool {
+        link_id != self.link_id()
     }
 }
 

@@ -4,7 +4,7 @@ use core::{fmt, iter};
 
 use zeroize::{Zeroize, ZeroizeOnDrop};
 
-use crate::error::SignError;
+use crate::error::{SetupError, SignError};
 use crate::frame::{Frame, FrameRef};
 use crate::header::{Header, MessageId};
 use crate::key::KEY_SIZE;
@@ -25,7 +25,6 @@ const PAYLOAD_SIZE: usize = SECRET_KEY + KEY_SIZE;
 ///
 /// It is sent in plain text: over a cable, or a link that nobody else can read. [`Debug`] does not show
 /// the key, and it is wiped when this is dropped.
-#[derive(PartialEq, Eq)]
 pub struct SetupSigning {
     /// Whom the key is for.
     pub target_system: u8,
@@ -38,29 +37,34 @@ pub struct SetupSigning {
 }
 
 impl SetupSigning {
-    /// What a payload of a SETUP_SIGNING frame says; its trailing zeros may be cut. `None` if it is
-    /// longer than 42 bytes, or its timestamp than 48 bits.
+    /// What the payload of a SETUP_SIGNING frame says; its trailing zeros may be cut.
     ///
     /// A key of zeros only, which asks the receiver to stop signing, is given as it is:
     /// [`SigningKey::new`](crate::SigningKey::new) refuses it.
-    #[must_use]
-    pub fn from_payload(payload: &[u8]) -> Option<Self> {
-        let mut bytes = [0; PAYLOAD_SIZE];
-        bytes.get_mut(..payload.len())?.copy_from_slice(payload);
-        let setup = Self::read(&bytes);
-        bytes.zeroize();
-        setup
-    }
-
-    fn read(bytes: &[u8; PAYLOAD_SIZE]) -> Option<Self> {
-        let (ticks, rest) = bytes.split_first_chunk()?;
-        let (&[target_system, target_component], key) = rest.split_first_chunk()?;
-        Some(Self {
-            target_system,
-            target_component,
-            secret_key: *key.first_chunk()?,
-            initial_timestamp: Timestamp::from_ticks(u64::from_le_bytes(*ticks))?,
-        })
+    ///
+    /// # Errors
+    ///
+    /// [`SetupError::TooLong`] above 42 bytes; [`SetupError::TimestampTooLong`] above 48 bits.
+    pub fn from_payload(payload: &[u8]) -> Result<Self, SetupError> {
+        let mut setup = Self {
+            target_system: 0,
+            target_component: 0,
+            secret_key: [0; KEY_SIZE],
+            initial_timestamp: Timestamp::ZERO,
+        };
+        if payload.len() > PAYLOAD_SIZE {
+            return Err(SetupError::TooLong(payload.len()));
+        }
+        let mut ticks = [0; INITIAL_TIMESTAMP_SIZE];
+        let targets = [&mut setup.target_system, &mut setup.target_component];
+        let slots = ticks.iter_mut().chain(targets).chain(&mut setup.secret_key);
+        for (slot, byte) in slots.zip(payload) {
+            *slot = *byte;
+        }
+        let ticks = u64::from_le_bytes(ticks);
+        setup.initial_timestamp =
+            Timestamp::from_ticks(ticks).ok_or(SetupError::TimestampTooLong(ticks))?;
+        Ok(setup)
     }
 
     /// The frame that carries it: unsigned, with the fields of `header` but the message id.

@@ -1,8 +1,9 @@
 //! Replay protection for several senders on one link: one timestamp for each stream.
 
-use heapless::LinearMap;
+use heapless::Vec;
 
 use crate::error::VerifyError;
+use crate::frame::FrameRef;
 use crate::header::Header;
 use crate::replay::Admit;
 use crate::time::{Fresh, Stamp, Timestamp, Window};
@@ -38,8 +39,6 @@ pub enum Links {
     /// All. A frame recorded on one link is then authentic on another, and accepted there as the
     /// first of its stream for as long as it lies in the window.
     Any,
-    /// All but this one, which the receiver's own frames are signed for: reflected, they are refused.
-    AllBut(u8),
     /// This one alone: a frame recorded on another link is refused.
     Only(u8),
 }
@@ -50,7 +49,6 @@ impl Links {
     pub const fn take(self, link_id: u8) -> bool {
         match self {
             Self::Any => true,
-            Self::AllBut(own) => link_id != own,
             Self::Only(taken) => link_id == taken,
         }
     }
@@ -59,15 +57,22 @@ impl Links {
 /// What a receiver remembers of up to `N` streams. It is not copied: a copy would accept again what
 /// the original has accepted.
 ///
-/// Only an authentic frame takes a row, and no row is given up: when all are taken, further streams are
-/// refused. Whoever has the key can therefore fill the table; nobody else can.
+/// Only an authentic frame takes a row, or one that this end [sent](Streams::sent), and no row is given
+/// up: when all are taken, further streams are refused. Whoever has the key can therefore fill the
+/// table; nobody else can.
 #[derive(Debug)]
 pub struct Streams<const N: usize> {
     links: Links,
     window: Window,
     /// What is fresh in a stream that has no row.
     first: Fresh,
-    rows: LinearMap<Stream, Fresh, N>,
+    rows: Vec<Row, N>,
+}
+
+#[derive(Debug)]
+struct Row {
+    stream: Stream,
+    fresh: Fresh,
 }
 
 impl<const N: usize> Admit for Streams<N> {
@@ -79,8 +84,12 @@ impl<const N: usize> Admit for Streams<N> {
         Self::admit(self, frame, now)
     }
 
-    fn takes(&self, link_id: u8) -> bool {
-        self.links.take(link_id)
+    fn sent(&mut self, frame: FrameRef<'_>) {
+        Self::sent(self, frame);
+    }
+
+    fn refuses_own(&self, _link_id: u8) -> bool {
+        true
     }
 }
 
@@ -99,7 +108,7 @@ impl<const N: usize> Streams<N> {
             links,
             window,
             first: Fresh::from(first),
-            rows: LinearMap::new(),
+            rows: Vec::new(),
         }
     }
 
@@ -115,12 +124,10 @@ impl<const N: usize> Streams<N> {
         self.window
     }
 
-    /// Every stream of which a frame was accepted, and the timestamp up to which all of its frames
-    /// are refused.
+    /// Every stream of which a frame was accepted or sent, and the timestamp up to which all of its
+    /// frames are refused.
     pub fn rows(&self) -> impl Iterator<Item = (Stream, Option<Timestamp>)> {
-        self.rows
-            .iter()
-            .map(|(stream, fresh)| (*stream, fresh.used()))
+        self.rows.iter().map(|row| (row.stream, row.fresh.used()))
     }
 
     /// Lets `frame` through if it is of a link that this receiver takes, lies in the window around
@@ -142,20 +149,47 @@ impl<const N: usize> Streams<N> {
         }
         self.window.check(stamp.timestamp, now)?;
         let stream = Stream::of(frame.header(), stamp);
-        let row = self.rows.get_mut(&stream);
-        let fresh = row.as_deref().unwrap_or(&self.first);
+        let first = self.first;
+        let row = self.row_mut(stream);
+        let fresh = row.as_ref().map_or(first, |row| row.fresh);
         if !fresh.contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }
-        let after = Fresh::after(stamp.timestamp);
+        let fresh = Fresh::after(stamp.timestamp);
         match row {
-            Some(row) => *row = after,
+            Some(row) => row.fresh = fresh,
             None => {
-                let inserted = self.rows.insert(stream, after);
-                inserted.map_err(|_| VerifyError::StreamsFull)?;
+                let pushed = self.rows.push(Row { stream, fresh });
+                pushed.map_err(|_| VerifyError::StreamsFull)?;
             }
         }
         Ok(Verified::new(frame))
+    }
+
+    /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back:
+    /// as a replay, or, if there was no row left for it, as of a new stream.
+    ///
+    /// A peer may then sign for the link id that this end signs for, as ground stations do that take
+    /// over the link id they hear (pymavlink's with link id 0). An unsigned frame, and one of a link
+    /// that is not taken, change nothing.
+    pub fn sent(&mut self, frame: FrameRef<'_>) {
+        let Some(stamp) = frame.signature().map(|signature| signature.stamp) else {
+            return;
+        };
+        if !self.links.take(stamp.link_id) {
+            return;
+        }
+        let stream = Stream::of(frame.header(), stamp);
+        let fresh = Fresh::after(stamp.timestamp);
+        match self.row_mut(stream) {
+            Some(row) => row.fresh = row.fresh.max(fresh),
+            // In a full table its stream has no row for as long as the table is, so it is refused.
+            None => drop(self.rows.push(Row { stream, fresh })),
+        }
+    }
+
+    fn row_mut(&mut self, stream: Stream) -> Option<&mut Row> {
+        self.rows.iter_mut().find(|row| row.stream == stream)
     }
 
     /// For proofs: with these rows.
@@ -163,7 +197,8 @@ impl<const N: usize> Streams<N> {
     #[must_use]
     pub fn holding(mut self, rows: &[(Stream, Timestamp)]) -> Self {
         for (stream, last) in rows {
-            let _ = self.rows.insert(*stream, Fresh::after(*last));
+            let (stream, fresh) = (*stream, Fresh::after(*last));
+            drop(self.rows.push(Row { stream, fresh }));
         }
         self
     }

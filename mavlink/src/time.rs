@@ -191,7 +191,7 @@ impl Stamper {
 /// The timestamps that are still fresh: all from a first one on, or none at all.
 ///
 /// Sender and receiver keep the same fact: what has been used is not used again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct Fresh(u64);
 

@@ -7,7 +7,7 @@ use subtle::ConstantTimeEq;
 
 use crate::dialect::crc_extra;
 use crate::error::VerifyError;
-use crate::frame::{Frame, FrameRef};
+use crate::frame::{Frame, FrameRef, Tag};
 use crate::header::Header;
 use crate::key::SigningKey;
 use crate::profile::Profile;
@@ -113,7 +113,7 @@ pub fn authenticate<'a, P: Profile>(
     if !frame.checksum_matches(crc_extra) {
         return Err(VerifyError::BadChecksum);
     }
-    if !bool::from(key.tag(covered).ct_eq(tag)) {
+    if !same(key.tag(covered), *tag) {
         return Err(VerifyError::BadTag);
     }
     Ok(Authentic {
@@ -121,6 +121,12 @@ pub fn authenticate<'a, P: Profile>(
         stamp: signature.stamp,
         crc_extra,
     })
+}
+
+/// Compares in constant time: as one word, which is less work than byte by byte.
+fn same(one: Tag, other: Tag) -> bool {
+    let word = |[a, b, c, d, e, f]: Tag| u64::from_le_bytes([a, b, c, d, e, f, 0, 0]);
+    word(one).ct_eq(&word(other)).into()
 }
 
 /// Replay state that interrupts and threads share; `const`, so it can be a `static`.

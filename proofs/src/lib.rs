@@ -14,12 +14,14 @@ pub mod parse;
 pub mod pipes;
 pub mod relay;
 pub mod replay;
+pub mod setup;
 pub mod sign;
 pub mod stamp;
 pub mod streams;
 pub mod table;
 pub mod tamper;
 pub mod unforgeable;
+pub mod unsigned;
 pub mod verify;
 
 use mavlink_signing::{Header, MessageId};

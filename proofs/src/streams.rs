@@ -38,11 +38,7 @@ pub fn step<P: Profile, const N: usize>(
     assert_eq!(verdict, expected);
 
     let after = rows(streams);
-    let ours = Stream {
-        link_id: stamp.link_id,
-        system_id: header.system_id,
-        component_id: header.component_id,
-    };
+    let ours = stream(header, stamp);
     for (old, new) in before.iter().zip(&after) {
         let Some((stream, last)) = old else {
             let taken = verdict.is_ok() && *new == Some((ours, Some(stamp.timestamp)));
@@ -62,7 +58,52 @@ pub fn step<P: Profile, const N: usize>(
     verdict
 }
 
+/// R2, of what this end sends: it is refused when it comes back, now and later, whether or not there was
+/// a row for it; no other row changes, and none is lost. Returns why it is refused.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn reflected<P: Profile, const N: usize>(
+    streams: &mut Streams<N>,
+    key: &SigningKey<P>,
+    header: Header,
+    stamp: Stamp,
+    now: Timestamp,
+) -> VerifyError {
+    let mut frame = Frame::new(header, &[]).expect("a known message");
+    sign_frame(&mut frame, key, stamp).expect("not signed yet");
+    let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
+
+    let before = rows(streams);
+    streams.sent(frame);
+    let after = rows(streams);
+    let ours = stream(header, stamp);
+    for (old, new) in before.iter().zip(&after) {
+        match (old, new) {
+            (Some((stream, last)), Some((_, new_last))) if *stream == ours => {
+                assert_eq!(*new_last, (*last).max(Some(stamp.timestamp)));
+            }
+            (None, Some(taken)) => assert_eq!(*taken, (ours, Some(stamp.timestamp))),
+            _ => assert_eq!(old, new),
+        }
+    }
+
+    let authentic = authenticate(frame, key).expect("signed with this key");
+    let verdict = streams.admit(authentic, now).map(drop);
+    assert_eq!(rows(streams), after);
+    verdict.expect_err("reflected")
+}
+
 type Rows<const N: usize> = [Option<(Stream, Option<Timestamp>)>; N];
+
+const fn stream(header: Header, stamp: Stamp) -> Stream {
+    Stream {
+        link_id: stamp.link_id,
+        system_id: header.system_id,
+        component_id: header.component_id,
+    }
+}
 
 /// The rows in the table's order; what is not taken is `None`.
 fn rows<const N: usize>(streams: &Streams<N>) -> Rows<N> {
@@ -89,7 +130,6 @@ fn specified<const N: usize>(
 ) -> Result<(), VerifyError> {
     let taken = match streams.links() {
         Links::Any => true,
-        Links::AllBut(own) => stamp.link_id != own,
         Links::Only(link_id) => stamp.link_id == link_id,
     };
     if !taken {
@@ -102,11 +142,7 @@ fn specified<const N: usize>(
     if ticks < now.saturating_sub(streams.window().past) {
         return Err(VerifyError::TooOld);
     }
-    let ours = Stream {
-        link_id: stamp.link_id,
-        system_id: header.system_id,
-        component_id: header.component_id,
-    };
+    let ours = stream(header, stamp);
     match last_of(rows, ours) {
         Some(last) if last.is_some_and(|last| stamp.timestamp <= last) => {
             Err(VerifyError::Replayed)
@@ -128,19 +164,23 @@ mod twins {
     proptest! {
         #[test]
         fn r2_random(
-            frames in proptest::collection::vec((1..3_u8, 0..3_u8, 0..2_u8, 0..60_u64, 0..60_u64), 0..40),
+            frames in proptest::collection::vec((1..3_u8, 0..3_u8, 0..2_u8, 0..60_u64, 0..60_u64, any::<bool>()), 0..40),
             links in 0..3_u8,
             first in 0..40_u64,
         ) {
             let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
             let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
-            let links = [Links::Any, Links::AllBut(2), Links::Only(1)][usize::from(links)];
+            let links = [Links::Any, Links::Only(2), Links::Only(1)][usize::from(links)];
             let window = Window { past: 30, ahead: 20 };
             let mut streams = Streams::<4>::resume(links, window, at(first));
-            for (link_id, system_id, component_id, ticks, now) in frames {
+            for (link_id, system_id, component_id, ticks, now, back) in frames {
                 let header = Header { system_id, component_id, ..HEARTBEAT };
                 let stamp = Stamp { link_id, timestamp: at(ticks) };
-                let _ = step(&mut streams, at(first), &key, header, stamp, at(now));
+                if back {
+                    reflected(&mut streams, &key, header, stamp, at(now));
+                } else {
+                    let _ = step(&mut streams, at(first), &key, header, stamp, at(now));
+                }
             }
         }
     }
@@ -178,49 +218,85 @@ mod harness {
     use crate::replay::{any_stamp, any_timestamp};
     use mavlink_signing::Window;
 
-    fn any_row() -> (Stream, Timestamp) {
-        let stream = Stream {
-            link_id: kani::any(),
-            system_id: kani::any(),
-            component_id: kani::any(),
-        };
-        (stream, any_timestamp())
-    }
-
-    #[kani::proof]
-    #[kani::unwind(33)]
-    fn r2_step() {
-        let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let links = match kani::any() {
-            0_u8 => Links::Any,
-            1 => Links::AllBut(kani::any()),
-            _ => Links::Only(kani::any()),
+    /// Any table of two with `TAKEN` rows in use, and any first timestamp: how many rows there are is
+    /// then known to the solver.
+    fn any_streams<const TAKEN: usize>() -> (Streams<2>, Timestamp) {
+        let links = if kani::any() {
+            Links::Any
+        } else {
+            Links::Only(kani::any())
         };
         let window = Window {
             past: kani::any(),
             ahead: kani::any(),
         };
         let first = any_timestamp();
-        let rows = [any_row(), any_row()];
-        let taken = kani::any();
-        kani::assume(taken <= rows.len() && rows[0].0 != rows[1].0);
-        let mut streams = Streams::<2>::resume(links, window, first).holding(&rows[..taken]);
-        let header = Header {
+        let rows: [_; TAKEN] =
+            core::array::from_fn(|_| (stream(any_header(), any_stamp()), any_timestamp()));
+        if let [one, other] = rows.as_slice() {
+            kani::assume(one.0 != other.0);
+        }
+        (Streams::resume(links, window, first).holding(&rows), first)
+    }
+
+    fn any_header() -> Header {
+        Header {
             system_id: kani::any(),
             component_id: kani::any(),
             ..HEARTBEAT
-        };
-        let verdict = step(
-            &mut streams,
-            first,
-            &key,
-            header,
-            any_stamp(),
-            any_timestamp(),
-        );
-        kani::cover!(verdict.is_ok() && taken == 2, "known, in a full table");
-        kani::cover!(verdict.is_ok() && taken == 0, "new");
-        kani::cover!(verdict == Err(VerifyError::StreamsFull), "full");
+        }
+    }
+
+    fn steps<const TAKEN: usize>() {
+        let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
+        let (mut streams, first) = any_streams::<TAKEN>();
+        let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
+        let verdict = step(&mut streams, first, &key, header, stamp, now);
+        kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
+        kani::cover!(
+            (verdict == Err(VerifyError::StreamsFull)) == (TAKEN == 2),
+            "full if and only if all rows are in use"
+        );
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r2_step_empty() {
+        steps::<0>();
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r2_step_half() {
+        steps::<1>();
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r2_step_full() {
+        steps::<2>();
+    }
+
+    fn comes_back<const TAKEN: usize>() {
+        let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
+        let (mut streams, _) = any_streams::<TAKEN>();
+        let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
+        let refusal = reflected(&mut streams, &key, header, stamp, now);
+        kani::cover!(refusal == VerifyError::Replayed, "replayed");
+        kani::cover!(refusal == VerifyError::TooOld, "too old");
+        kani::cover!(matches!(refusal, VerifyError::WrongLink(_)), "wrong link");
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r2_reflected_half() {
+        comes_back::<1>();
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r2_reflected_full() {
+        comes_back::<2>();
     }
 }

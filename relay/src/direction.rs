@@ -99,6 +99,11 @@ pub enum Handed {
 }
 
 impl<R: Admit, U: UnsignedPolicy> Verifier<R, U> {
+    /// Tells the receiver of a frame that was signed here, before it is sent: see [`Admit::sent`].
+    pub fn sent(&mut self, frame: FrameRef<'_>) {
+        self.receiver.sent(frame);
+    }
+
     /// The frame to hand on for `packet`.
     ///
     /// # Errors

@@ -148,7 +148,7 @@ impl<P: Profile, R: Admit> Relay<P, R> {
     ///
     /// # Errors
     ///
-    /// [`SameLinkId`] if `receiver` takes frames of the link that `stamper` signs for.
+    /// [`SameLinkId`] if `receiver` would take frames that were signed here for frames of the peer.
     pub fn new(
         key: SigningKey<P>,
         stamper: Stamper,
@@ -156,7 +156,7 @@ impl<P: Profile, R: Admit> Relay<P, R> {
         forward: Forward,
     ) -> Result<Self, SameLinkId> {
         let link_id = stamper.link_id();
-        if receiver.takes(link_id) {
+        if !receiver.refuses_own(link_id) {
             return Err(SameLinkId(link_id));
         }
         Ok(Self {
@@ -212,8 +212,12 @@ impl<P: Profile, R: Admit, U: UnsignedPolicy> Relay<P, R, U> {
             plain_to_secure,
             secure_to_plain,
         } = self;
+        let signed = plain_to_secure.poll(plain, secure, link, clock, observe);
+        if let Some(frame) = plain_to_secure.unsent() {
+            secure_to_plain.treat_mut().sent(frame);
+        }
         Polled {
-            plain_to_secure: plain_to_secure.poll(plain, secure, link, clock, observe),
+            plain_to_secure: signed,
             secure_to_plain: secure_to_plain.poll(secure, plain, link, clock, observe),
         }
     }

@@ -3,7 +3,7 @@
 use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Decoder, Frame, Profile, SigningKey, Timestamp, dialect};
+use mavlink_signing::{Decoder, Frame, FrameRef, Profile, SigningKey, Timestamp, dialect};
 
 use crate::direction::Treat;
 use crate::event::{Counters, Event, Offender};
@@ -65,6 +65,17 @@ struct Sending {
 impl<T> Pump<T> {
     pub(crate) const fn counters(&self) -> &Counters {
         &self.counters
+    }
+
+    pub(crate) const fn treat_mut(&mut self) -> &mut T {
+        &mut self.treat
+    }
+
+    /// The frame of which no byte has left: every frame is here when a turn has ended in which it was
+    /// made.
+    pub(crate) fn unsent(&self) -> Option<FrameRef<'_>> {
+        let sending = self.sending.as_ref().filter(|sending| sending.sent == 0)?;
+        FrameRef::parse(sending.frame.as_bytes()).ok()
     }
 }
 

@@ -187,6 +187,9 @@ fn documentation() -> Result<()> {
 fn host_tests() -> Result<()> {
     let sh = shell(".")?;
     cmd!(sh, "cargo test --quiet --locked --workspace").run()?;
+    let cores = ["--package=mavlink-signing", "--package=mavseal-proofs"];
+    let tables = "--features=mavlink-signing/fast-checksum";
+    cmd!(sh, "cargo test --quiet --locked {cores...} {tables}").run()?;
     Ok(())
 }
 

@@ -117,12 +117,22 @@ fn setup_signing_is_built_and_read_and_not_shown() {
     let frame = setup().to_frame(heartbeat(0.into())).expect("known");
     let bytes = frame.as_bytes();
     assert_eq!(bytes[7..10], [0, 1, 0]);
+    let read = SetupSigning::from_payload(&bytes[10..bytes.len() - 2]).expect("a key");
+    assert_eq!(read.secret_key, setup().secret_key);
+    assert_eq!((read.target_system, read.target_component), (1, 0));
+    assert_eq!(read.initial_timestamp, at(TICKS));
+    let refused = |payload| SetupSigning::from_payload(payload).expect_err("refused");
+    let (long, late) = (refused(&[7; 43]), refused(&[0xFF; 42]));
+    assert_eq!(long, SetupError::TooLong(43));
+    assert_eq!(late, SetupError::TimestampTooLong(u64::MAX));
     assert_eq!(
-        SetupSigning::from_payload(&bytes[10..bytes.len() - 2]),
-        Some(setup())
+        long.to_string(),
+        "SETUP_SIGNING has 42 bytes of payload, this has 43"
     );
-    assert_eq!(SetupSigning::from_payload(&[7; 43]), None, "too long");
-    assert_eq!(SetupSigning::from_payload(&[0xFF; 42]), None, "no 48 bits");
+    assert_eq!(
+        late.to_string(),
+        "a timestamp has 6 bytes, 0xFFFFFFFFFFFFFFFF has more"
+    );
     let shown = format!("{:?}", setup());
     assert!(
         shown.contains("target_system: 1") && !shown.contains("31"),

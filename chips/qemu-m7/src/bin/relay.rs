@@ -39,8 +39,8 @@ mod peer {
     }
 }
 
-/// With MAVProxy and other ground stations: the standard's signature, a key that can be typed, a stream
-/// for each of them, and the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp
+/// With MAVProxy and other ground stations: the standard's signature, a key that can be typed, streams
+/// for them and for what is behind the relay, and the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp
 /// Handling), either way.
 #[cfg(feature = "standard")]
 mod peer {
@@ -50,7 +50,7 @@ mod peer {
     use mavseal_qemu_m7::{DEMO_PASSPHRASE, info};
 
     pub(super) type Profile = Standard;
-    pub(super) type Receiver = Streams<8>;
+    pub(super) type Receiver = Streams<16>;
 
     const MINUTE: u64 = 60 * TICKS_PER_SECOND;
     const WINDOW: Window = Window {
@@ -64,10 +64,10 @@ mod peer {
 
     pub(super) fn receiver() -> Receiver {
         info!(
-            "In-line signer: signs on link {}, verifies the others",
+            "In-line signer: signs on link {}, verifies every link",
             super::LINK_OUT
         );
-        Streams::new(Links::AllBut(super::LINK_OUT), WINDOW)
+        Streams::new(Links::Any, WINDOW)
     }
 }
 
