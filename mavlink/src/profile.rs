@@ -83,14 +83,21 @@ where
 /// A tag of a frame with up to 4 bytes of payload costs one compression, each further 64 bytes one
 /// more. That a tag does not give away those of longer frames, as whole digests with a secret prefix
 /// would, is due to the cut: 48 of the digest's 256 bits are sent.
-pub struct Standard<H: EagerHash = Sha256> {
+pub struct Standard<H: EagerHash = Sha256>
+where
+    H::Core: ZeroizeOnDrop,
+{
     key: Zeroizing<[u8; KEY_SIZE]>,
     hash: PhantomData<H>,
 }
 
-impl<H: EagerHash> ZeroizeOnDrop for Standard<H> {}
+// `key` wipes itself, and so does the hash's core, which takes it in.
+impl<H: EagerHash> ZeroizeOnDrop for Standard<H> where H::Core: ZeroizeOnDrop {}
 
-impl<H: EagerHash> Profile for Standard<H> {
+impl<H: EagerHash> Profile for Standard<H>
+where
+    H::Core: ZeroizeOnDrop,
+{
     fn new(key: &[u8; KEY_SIZE]) -> Self {
         Self {
             key: Zeroizing::new(*key),

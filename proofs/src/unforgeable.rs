@@ -36,6 +36,26 @@
 //! }
 //! ```
 //!
+//! Nor is it made from one that a policy accepted, which in turn is made by
+//! [`accept_unsigned`](mavlink_signing::accept_unsigned) alone:
+//!
+//! ```compile_fail
+//! use mavlink_signing::{Replay, Timestamp, Unsigned, Verified, VerifyError};
+//! fn admitted<'a>(unsigned: Unsigned<'a>, replay: &mut Replay) -> Result<Verified<'a>, VerifyError> {
+//!     replay.admit(unsigned, Timestamp::ZERO)
+//! }
+//! ```
+//!
+//! ```compile_fail
+//! use mavlink_signing::{FrameRef, Unsigned};
+//! fn accepted(frame: FrameRef<'_>) -> Unsigned<'_> { Unsigned { frame, crc_extra: 0 } }
+//! ```
+//!
+//! ```
+//! use mavlink_signing::{FrameRef, RadioStatus, Unsigned, accept_unsigned};
+//! fn accepted(frame: FrameRef<'_>) -> Unsigned<'_> { accept_unsigned(frame, 1, &RadioStatus).unwrap() }
+//! ```
+//!
 //! A frame that was not verified hands out no payload; one that was does:
 //!
 //! ```
@@ -67,6 +87,10 @@
 //!
 //! ```compile_fail
 //! fn twice(x: mavlink_signing::Replay) -> [mavlink_signing::Replay; 2] { [x.clone(), x] }
+//! ```
+//!
+//! ```compile_fail
+//! fn twice(x: mavlink_signing::Streams<1>) -> [mavlink_signing::Streams<1>; 2] { [x.clone(), x] }
 //! ```
 //!
 //! ```compile_fail
