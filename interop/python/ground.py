@@ -84,12 +84,13 @@ command(3)
 while received["frames"] < TELEMETRY:
     receive()
 
-# What it signs for if it was given no link id, and, as MAVProxy has it, knows who the vehicle is.
+# As MAVProxy has it: given no link id, it takes over that of the vehicle which it knows it talks to.
 signing.link_id = 0
 link.target_system, link.target_component = 1, 1
 while receive().get_type() != "HEARTBEAT":
     pass
 received["adopted"] = signing.link_id
+command(4)
 
 # The heartbeat is authentic too.
 print(json.dumps({**received, "authentic": authentic, "acknowledged": len(acknowledged), "passed": len(authentic) + 1}))

@@ -705,3 +705,29 @@ fn several_peers_each_have_their_order() {
     };
     assert_eq!(counters.last_offender(), Some(offender));
 }
+
+/// A peer may sign for the link id that the relay signs for: what the relay signed is refused all the
+/// same when it comes back.
+#[test]
+fn own_frames_are_refused_on_a_shared_link_id() {
+    let streams = Streams::<2>::new(Links::Any, Window::SEED);
+    let relay = Relay::new(key(), Stamper::new(LINK_OUT), streams, Forward::Whole);
+    let mut bench = Bench::of(relay.expect("streams remember what is sent"));
+    for payload in [[1, 2, 3], [4, 5, 6]] {
+        bench.plain_in(unsigned(&payload).as_bytes());
+    }
+    let own: Vec<u8> = bench.secure.output.drain(..).collect();
+    // Two frames within a tick were stamped with this one and the next.
+    bench.now = NOW + 2;
+    bench.secure_in(&own);
+    let counters = bench.relay.secure_to_plain();
+    assert_eq!(
+        (counters.passed(), counters.refused(Refusal::Replayed)),
+        (0, 2)
+    );
+
+    let peer = signed(&[7, 8, 9], LINK_OUT, NOW + 2);
+    bench.secure_in(peer.as_bytes());
+    assert_eq!(bench.relay.secure_to_plain().passed(), 1);
+    assert_eq!(bench.plain.output, peer.as_bytes());
+}
