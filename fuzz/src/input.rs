@@ -53,7 +53,7 @@ macro_rules! encode_numbers {
         }
     )*};
 }
-encode_numbers!(u8, u16, i64);
+encode_numbers!(i8, u8, i16, u16, i64);
 
 impl Encode for bool {
     fn encode(&self, bytes: &mut Vec<u8>) {

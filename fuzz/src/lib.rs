@@ -10,7 +10,10 @@ pub mod ports;
 pub mod reached;
 pub mod repair;
 pub mod seeds;
+pub mod senders;
+pub mod standard;
 pub mod streams;
+pub mod unsigned;
 pub mod values;
 
 use arbitrary::Arbitrary;
@@ -45,9 +48,13 @@ targets! {
     frames::relay_packet: input,
     streams::decoder_chunks: input,
     streams::replay_model: input,
+    senders::streams_model: input,
     streams::relay: input,
     ports::relay_ports: input,
+    unsigned::unsigned_policy: input,
+    unsigned::setup_signing: input,
     values::diff_hmac: input,
+    standard::diff_standard: input,
     values::checksum_table: input,
     values::stamps: input,
 }

@@ -1,7 +1,9 @@
 //! Where fuzzing begins: inputs named by what they are, `cargo xtask fuzz seeds`.
 
 mod packets;
+mod senders;
 mod streams;
+mod unsigned;
 mod values;
 
 use mavlink_signing::{Frame, Header, MessageId};
@@ -45,7 +47,10 @@ pub fn all(telemetry: &[Vec<u8>]) -> Vec<Seed> {
     seeds.histories();
     seeds.pipes(telemetry);
     seeds.ports();
+    seeds.senders();
+    seeds.unsigned(telemetry);
     seeds.values();
+    seeds.foreign();
     seeds.0
 }
 

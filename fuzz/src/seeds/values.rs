@@ -1,7 +1,8 @@
 //! Seeds of the targets about single values.
 
-use super::{HEARTBEAT, SETUP_SIGNING, Seeds, TIMESYNC, UNKNOWN};
-use crate::input::{Message, Moment, Receiver, Stamped};
+use super::{BEAT, HEARTBEAT, SETUP_SIGNING, Seeds, TIMESYNC, UNKNOWN};
+use crate::input::{Head, Message, Moment, Receiver, Stamped};
+use crate::standard::Foreign;
 use crate::values::{Checked, Clocks, Keyed};
 
 impl Seeds {
@@ -95,5 +96,108 @@ impl Seeds {
                 },
             );
         }
+    }
+
+    pub(super) fn foreign(&mut self) {
+        let input = Foreign {
+            key: [7; 32],
+            head: Head {
+                fields: [0, 17, 1, 190],
+                message: Message::known(HEARTBEAT),
+            },
+            stamped: Stamped {
+                link_id: 3,
+                moment: Moment::before_the_end(9),
+            },
+            damage_at: 11,
+            damage: 1,
+            repaired: false,
+            payload: &BEAT,
+        };
+        // Each counted from the byte after the magic one.
+        for (name, damage_at) in [
+            ("length", 0),
+            ("flag", 1),
+            ("message", 6),
+            ("payload", 11),
+            ("checksum", 18),
+            ("link", 20),
+            ("timestamp", 21),
+            ("first_byte_of_the_tag", 27),
+            ("last_byte_of_the_tag", 32),
+        ] {
+            for (repaired, end) in [(false, ""), (true, "_checksum_repaired")] {
+                let input = Foreign {
+                    damage_at,
+                    repaired,
+                    ..input
+                };
+                self.add("diff_standard", &format!("damaged_{name}{end}"), &input);
+            }
+        }
+        let long = [0x5A; 256];
+        for (name, id, moment, payload) in [
+            ("first_moment", HEARTBEAT, Moment::default(), &BEAT[..]),
+            ("in_2026", HEARTBEAT, Moment::after_now(0), &BEAT),
+            ("end_of_time", TIMESYNC, Moment::before_the_end(0), &BEAT),
+            ("empty_payload", HEARTBEAT, Moment::before_the_end(0), &[]),
+            (
+                "one_block",
+                HEARTBEAT,
+                Moment::before_the_end(0),
+                &long[..4],
+            ),
+            (
+                "two_blocks",
+                HEARTBEAT,
+                Moment::before_the_end(0),
+                &long[..5],
+            ),
+            (
+                "max_payload_255",
+                TIMESYNC,
+                Moment::before_the_end(0),
+                &long[..255],
+            ),
+            (
+                "payload_256_is_too_long",
+                TIMESYNC,
+                Moment::default(),
+                &long,
+            ),
+            (
+                "setup_signing",
+                SETUP_SIGNING,
+                Moment::before_the_end(0),
+                &long[..42],
+            ),
+        ] {
+            let message = Message::known(id);
+            let link_id = 3;
+            let input = Foreign {
+                head: Head {
+                    message,
+                    ..input.head
+                },
+                stamped: Stamped { link_id, moment },
+                payload,
+                ..input
+            };
+            self.add("diff_standard", name, &input);
+        }
+        let unknown = Head {
+            message: Message::any(UNKNOWN),
+            ..input.head
+        };
+        let unknown = Foreign {
+            head: unknown,
+            ..input
+        };
+        self.add("diff_standard", "unknown_message", &unknown);
+        let zeros = Foreign {
+            key: [0; 32],
+            ..input
+        };
+        self.add("diff_standard", "key_of_zeros", &zeros);
     }
 }
