@@ -64,7 +64,7 @@ impl Links {
 pub struct Streams<const N: usize> {
     links: Links,
     window: Window,
-    /// What is fresh in a stream that has no row.
+    /// What is fresh in every stream, whatever its row says.
     first: Fresh,
     rows: Vec<Row, N>,
 }
@@ -151,7 +151,7 @@ impl<const N: usize> Streams<N> {
         let stream = Stream::of(frame.header(), stamp);
         let first = self.first;
         let row = self.row_mut(stream);
-        let fresh = row.as_ref().map_or(first, |row| row.fresh);
+        let fresh = row.as_ref().map_or(first, |row| row.fresh.max(first));
         if !fresh.contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }

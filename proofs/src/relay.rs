@@ -1,5 +1,6 @@
 //! L1: nothing from the secure side is signed; nothing unverified leaves on the plain side.
 
+use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::{
     FrameRef, Packet, Profile, SETUP_SIGNING, SigningKey, Stamper, Timestamp, VerifyError,
     authenticate,
@@ -38,6 +39,11 @@ pub fn only_verified_leaves<P: Profile>(
         assert_eq!(handed_on, Err(Refusal::SetupSigning));
         return Err(Refusal::SetupSigning);
     }
+    if !received.is_signed() {
+        let refusal = unsigned_refusal(received);
+        assert_eq!(handed_on, Err(refusal));
+        return Err(refusal);
+    }
     let mut replay = receiver.replay();
     let verdict: Result<_, VerifyError> =
         authenticate(received, key).and_then(|authentic| replay.admit(authentic, now));
@@ -64,6 +70,15 @@ pub fn only_verified_leaves<P: Profile>(
             assert_eq!(verdict.err().map(Refusal::from), Some(refusal));
             Err(refusal)
         }
+    }
+}
+
+/// Why a frame without signature is refused where no policy accepts any.
+fn unsigned_refusal(received: FrameRef<'_>) -> Refusal {
+    match crc_extra(received.header().message_id) {
+        None => Refusal::UnknownMessage,
+        Some(extra) if !received.checksum_matches(extra) => Refusal::BadChecksum,
+        Some(_) => Refusal::NotSigned,
     }
 }
 
@@ -107,7 +122,6 @@ pub fn only_unsigned_is_signed<P: Profile>(
 mod twins {
     use super::*;
     use crate::HEARTBEAT;
-    use mavlink_signing::dialect::crc_extra;
     use mavlink_signing::{Frame, Hmac, Stamp, Window, sign_frame};
     use proptest::prelude::*;
 
@@ -292,10 +306,9 @@ mod harness {
             let refusal = Verifier::new(Resumed::any().replay(), Forward::Whole)
                 .verify(packet, &key, now)
                 .err();
-            let expected = if mavlink1 {
-                Refusal::Mavlink1
-            } else {
-                Refusal::NotSigned
+            let expected = match packet {
+                Packet::Mavlink1(_) => Refusal::Mavlink1,
+                Packet::Mavlink2(frame) => unsigned_refusal(frame),
             };
             assert_eq!(refusal, Some(expected));
             kani::cover!(mavlink1, "MAVLink 1, to be verified");
