@@ -231,12 +231,12 @@ fn firmware_lints() -> Result<Option<String>> {
         if !version.arg("--version").output()?.status.success() {
             return Ok(Some(format!("{toolchain} has no clippy")));
         }
-        let standard: &[_] = match chip {
-            Chip::QemuM7 => &["common,logging,standard"],
-            Chip::Stm32c092rc => &[],
-        };
-        let usual = ["common", "common,logging", "minimal,leaky"];
-        for features in usual.iter().chain(standard) {
+        for features in [
+            "common",
+            "common,logging",
+            "common,logging,standard",
+            "minimal,leaky",
+        ] {
             let mut cargo = toolchain.cargo("clippy");
             cargo.current_dir(root().join("chips").join(chip.directory()));
             cargo.args(["--quiet", "--locked", "--no-default-features"]);

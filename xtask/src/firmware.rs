@@ -14,7 +14,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-pub(crate) use build::{Chip, Image, Rounds, build};
+pub(crate) use build::{Chip, Image, Profile, Rounds, build};
 use demo::LENGTHS;
 use program::Program;
 use sizes::{Symbols, sizes};
@@ -60,6 +60,14 @@ const fn demo(chip: Chip, rounds: Rounds) -> Image {
     }
 }
 
+/// The same with the standard's signature.
+const fn standard_demo(chip: Chip, rounds: Rounds) -> Image {
+    Image {
+        features: &["minimal", "standard"],
+        ..demo(chip, rounds)
+    }
+}
+
 /// Images that are shipped, and the most that they may take.
 const BUDGETS: &[Budget] = &[
     Budget {
@@ -99,6 +107,48 @@ const BUDGETS: &[Budget] = &[
         }),
     },
     Budget {
+        image: standard_demo(Chip::Stm32c092rc, Rounds::Looped),
+        flash: FLASH,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 20_000,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: standard_demo(Chip::Stm32c092rc, Rounds::Unrolled),
+        flash: 15_000,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 15_000,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: standard_demo(Chip::QemuM7, Rounds::Looped),
+        flash: FLASH,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 12_500,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: standard_demo(Chip::QemuM7, Rounds::Unrolled),
+        flash: 13_000,
+        ram: 750,
+        demo: Some(DemoBudget {
+            instructions: 9_000,
+            stack: STACK,
+        }),
+    },
+    Budget {
+        image: deployed(Chip::QemuM7, "relay", &["ardupilotmega", "standard"]),
+        flash: 13_500,
+        ram: 64,
+        demo: None,
+    },
+    Budget {
         image: deployed(Chip::QemuM7, "relay", &["ardupilotmega"]),
         flash: 13_000,
         ram: 64,
@@ -132,6 +182,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let mut bytes = new_table(&[
         "image",
+        "profile",
         "SHA-256",
         "flash",
         ".data + .bss",
@@ -139,14 +190,20 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         "of sign",
         "of verify",
     ]);
-    let mut instructions = new_table(&["image", "SHA-256", "payload", "sign", "verify", "both"]);
+    let mut instructions = new_table(&[
+        "image", "profile", "SHA-256", "payload", "sign", "verify", "both",
+    ]);
     let mut sections = new_table(&["image", "section", "size"]);
     let mut complaints = Vec::new();
     for budget in BUDGETS {
         let image = &budget.image;
         let elf = build(image)?;
         let sizes = sizes(&elf)?;
-        let name = [image.to_string(), image.rounds.to_string()];
+        let name = [
+            image.to_string(),
+            image.tags().to_string(),
+            image.rounds.to_string(),
+        ];
         let mut limit = |is: u64, most: u64, what: &str| {
             if is > most {
                 complaints.push(format!("{}: {is} {what}, of {most}", name.join(", ")));
@@ -157,7 +214,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let mut row = name.to_vec();
         row.extend([sizes.flash, sizes.ram_static].map(|size| size.to_string()));
         if let Some(budget) = &budget.demo {
-            let cost = demo::measure(image.chip, &Program::read(&elf)?);
+            let cost = demo::measure(image, &Program::read(&elf)?);
             let cost = cost.with_context(|| name.join(", "))?;
             let both = |[sign, verify]: [usize; 2]| sign + verify;
             let least = both(cost.instructions[0]) as u64;
@@ -208,10 +265,11 @@ pub(crate) fn checks_can_fail() -> Result<()> {
     );
 
     for chip in Chip::ALL {
-        let mut wrong = Program::read(&build(&demo(chip, Rounds::Looped))?)?;
+        let image = demo(chip, Rounds::Looped);
+        let mut wrong = Program::read(&build(&image)?)?;
         let constants = wrong.find("sha2::consts::K32")?;
         wrong.flash_mut(constants)?[0] ^= 1;
-        let error = demo::measure(chip, &wrong).err();
+        let error = demo::measure(&image, &wrong).err();
         let error = error.context("a wrong hash was not found out")?;
         println!("a wrong hash is found out: {error:#}");
     }
@@ -227,12 +285,18 @@ pub(crate) fn constant_time(all: bool) -> Result<()> {
     let every = (1..=u8::MAX).collect::<Vec<_>>();
     let values = if all { &every[..] } else { &[0x01, 0x80, 0xFF] };
     for chip in Chip::ALL {
-        for rounds in [Rounds::Looped, Rounds::Unrolled] {
-            let program = Program::read(&build(&demo(chip, rounds))?)?;
+        let images = [
+            demo(chip, Rounds::Looped),
+            demo(chip, Rounds::Unrolled),
+            standard_demo(chip, Rounds::Looped),
+            standard_demo(chip, Rounds::Unrolled),
+        ];
+        for image in images {
+            let program = Program::read(&build(&image)?)?;
             let refused = constant_time::check(chip, &program, values)?;
+            let (tags, rounds) = (image.tags(), image.rounds);
             println!(
-                "{}/demo, {rounds}: {refused} wrong tags refused by the same instructions",
-                chip.directory()
+                "{image}, {tags}, {rounds}: {refused} wrong tags refused by the same instructions"
             );
         }
         let leaky = deployed(chip, "demo", &["minimal", "leaky"]);
@@ -270,7 +334,7 @@ fn new_table(header: &[&str]) -> Table {
         .load_preset(presets::ASCII_MARKDOWN)
         .set_header(header);
     for (index, name) in header.iter().enumerate() {
-        if !["image", "SHA-256", "section"].contains(name)
+        if !["image", "profile", "SHA-256", "section"].contains(name)
             && let Some(column) = table.column_mut(index)
         {
             column.set_cell_alignment(CellAlignment::Right);

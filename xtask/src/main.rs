@@ -1,5 +1,6 @@
 //! Every developer verb of mavseal: `cargo xtask <verb>`.
 
+mod bench;
 mod check;
 mod demo;
 mod firmware;
@@ -26,6 +27,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Verb {
+    /// Measure signing and verifying beside peers and the floor, and hold them to their bars
+    Bench(bench::Options),
     /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
     Demo(demo::Options),
     /// Build the shipped firmware images and hold them to their budgets
@@ -62,6 +65,7 @@ fn main() -> ExitCode {
 
 fn run(verb: Verb) -> anyhow::Result<()> {
     match verb {
+        Verb::Bench(options) => bench::run(&options),
         Verb::Demo(options) => demo::run(&options),
         Verb::Firmware(options) => firmware::run(&options),
         Verb::Fuzz(options) => fuzz::run(&options),

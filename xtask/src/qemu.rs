@@ -29,14 +29,24 @@ pub(crate) struct Options {
     /// Give up after this many seconds
     #[arg(long, value_name = "SECONDS")]
     timeout: Option<u64>,
+    /// The TCP port of this machine that UART 0 listens on; a second time for UART 1
+    #[arg(long, value_name = "PORT")]
+    serial: Vec<u16>,
 }
 
-/// Runs firmware without serial ports, prints its log, and exits with its status.
+/// Runs firmware, prints its log, and exits with its status.
 ///
 /// # Errors
 /// If QEMU does not start, or the firmware has not ended in time.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let mut machine = Machine::boot(&options.elf, 0, |line| println!("{line}"))?;
+    let serial: Vec<String> = match options.serial[..] {
+        [] => vec!["null".into(); 2],
+        ref ports => ports
+            .iter()
+            .map(|port| format!("tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on"))
+            .collect(),
+    };
+    let mut machine = Machine::launch(&options.elf, &serial, |line| println!("{line}"))?;
     let status = machine.wait(options.timeout.map(Duration::from_secs))?;
     std::process::exit(status.code().unwrap_or(1));
 }
@@ -94,6 +104,28 @@ impl Machine {
         ports: usize,
         on_line: impl FnMut(Line) + Send + 'static,
     ) -> Result<Machine> {
+        // We listen and QEMU connects: no port is ever free for another to take.
+        let mut listeners = Vec::new();
+        let mut serial = Vec::new();
+        for _ in 0..ports {
+            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+            serial.push(format!("tcp:{},nodelay=on", listener.local_addr()?));
+            listeners.push(listener);
+        }
+        let mut machine = Self::launch(elf, &serial, on_line)?;
+        for listener in listeners {
+            let stream = machine.accept(&listener)?;
+            machine.serial.push(stream);
+        }
+        Ok(machine)
+    }
+
+    /// Boots an ELF file with its UARTs where `serial` says, in QEMU's words.
+    fn launch(
+        elf: &Path,
+        serial: &[String],
+        on_line: impl FnMut(Line) + Send + 'static,
+    ) -> Result<Machine> {
         let qemu = setup::qemu(&Shell::new()?)?;
         let data = fs::read(elf).with_context(|| elf.display().to_string())?;
         let table = Table::parse(&data).with_context(|| format!("the log of {}", elf.display()))?;
@@ -110,32 +142,18 @@ impl Machine {
         command
             .args(["-semihosting-config", "enable=on,target=native", "-kernel"])
             .arg(elf);
-        // We listen and QEMU connects: no port is ever free for another to take.
-        let mut listeners = Vec::new();
-        for _ in 0..ports {
-            let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
-            command
-                .arg("-serial")
-                .arg(format!("tcp:{},nodelay=on", listener.local_addr()?));
-            listeners.push(listener);
-        }
-        if ports == 0 {
-            command.args(["-serial", "null", "-serial", "null"]);
+        for port in serial {
+            command.args(["-serial", port]);
         }
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         let mut child = command.spawn().context("QEMU cannot be run")?;
         let stdout = child.stdout.take().context("QEMU's output")?;
         let log = thread::spawn(move || read_log(stdout, table.as_ref(), on_line));
-        let mut machine = Machine {
+        Ok(Machine {
             serial: Vec::new(),
             child,
             log: Some(log),
-        };
-        for listener in listeners {
-            let stream = machine.accept(&listener)?;
-            machine.serial.push(stream);
-        }
-        Ok(machine)
+        })
     }
 
     /// Waits for the firmware to end; gives the status it ended with, after its whole log was read.

@@ -4,11 +4,16 @@ use core::hint::black_box;
 
 use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE};
 use mavlink_signing::{
-    Frame, FrameRef, Header, KeyError, MavLinkState, MessageId, Replay, SigningKey, Stamp, Stamper,
-    Timestamp, Verified, VerifyError, Window, sign_frame, verify_frame,
+    Frame, FrameRef, Header, KeyError, MavLinkState, MessageId, Replay, Stamp, Stamper, Timestamp,
+    Verified, VerifyError, Window, sign_frame, verify_frame,
 };
 
 use crate::{DEMO_KEY, info};
+
+#[cfg(not(feature = "standard"))]
+type SigningKey = mavlink_signing::SigningKey<mavlink_signing::Hmac>;
+#[cfg(feature = "standard")]
+type SigningKey = mavlink_signing::SigningKey<mavlink_signing::Standard>;
 
 /// What lasts, outside of the stack.
 #[repr(C)]

@@ -36,14 +36,25 @@ pub(super) fn repair(frame: &mut [u8]) {
     frame[end..end + 2].copy_from_slice(&checksum);
 }
 
-/// `frame`, unsigned, as it looks signed with `key` on `link_id` at `ticks`.
+/// `frame`, unsigned, as it looks signed by mavseal's own profile with `key` on `link_id` at `ticks`.
 pub(crate) fn sign(frame: &[u8], key: &[u8], link_id: u8, ticks: u64) -> Frame {
+    let tag = |covered: &[u8]| hmac_sha256::HMAC::mac(covered, key);
+    sign_by(tag, frame, link_id, ticks)
+}
+
+/// The same as the MAVLink standard has it.
+pub(crate) fn sign_standard(frame: &[u8], key: &[u8], link_id: u8, ticks: u64) -> Frame {
+    let tag = |covered: &[u8]| hmac_sha256::Hash::hash(&[key, covered].concat());
+    sign_by(tag, frame, link_id, ticks)
+}
+
+fn sign_by(tag: impl Fn(&[u8]) -> [u8; 32], frame: &[u8], link_id: u8, ticks: u64) -> Frame {
     let mut signed = frame.to_vec();
     signed[2] |= 1;
     repair(&mut signed);
     signed.push(link_id);
     signed.extend(&ticks.to_le_bytes()[..6]);
-    let tag = hmac_sha256::HMAC::mac(&signed, key);
+    let tag = tag(&signed);
     signed.extend(&tag[..6]);
     signed
 }

@@ -54,6 +54,22 @@ impl fmt::Display for Rounds {
     }
 }
 
+/// How an image signs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Profile {
+    Hmac,
+    Standard,
+}
+
+impl fmt::Display for Profile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Profile::Hmac => "Hmac",
+            Profile::Standard => "Standard",
+        })
+    }
+}
+
 /// One program for a microcontroller, as cargo builds it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Image {
@@ -63,6 +79,16 @@ pub(crate) struct Image {
     pub(crate) rounds: Rounds,
     pub(crate) features: &'static [&'static str],
     pub(crate) default_features: bool,
+}
+
+impl Image {
+    pub(crate) fn tags(&self) -> Profile {
+        if self.features.contains(&"standard") {
+            Profile::Standard
+        } else {
+            Profile::Hmac
+        }
+    }
 }
 
 impl fmt::Display for Image {

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use anyhow::{Result, ensure};
 
 use super::{
-    Chip,
+    Chip, Image, Profile,
     emulator::{Call, Machine},
     program::Program,
 };
@@ -45,7 +45,7 @@ struct Run {
 ///
 /// # Errors
 /// If a verdict is wrong, or a tag is not that of another implementation.
-pub(super) fn measure(chip: Chip, program: &Program) -> Result<Cost> {
+pub(super) fn measure(image: &Image, program: &Program) -> Result<Cost> {
     let mut cost = Cost {
         instructions: [[0; 2]; LENGTHS.len()],
         stack: 0,
@@ -54,7 +54,7 @@ pub(super) fn measure(chip: Chip, program: &Program) -> Result<Cost> {
     for (length, instructions) in LENGTHS.into_iter().zip(&mut cost.instructions) {
         let mut program = program.clone();
         set_payload_length(&mut program, length)?;
-        let run = run(chip, &mut program)?;
+        let run = run(image, &mut program)?;
         for (index, calls) in run.calls.iter().enumerate() {
             instructions[index] = calls[0].trace.len();
             for call in calls {
@@ -68,7 +68,7 @@ pub(super) fn measure(chip: Chip, program: &Program) -> Result<Cost> {
     let key = other_key.find("mavseal_demo::run::KEY")?;
     other_key.flash_mut(key)?.fill(0xA5);
     let [tag, other_tag] = [&mut program.clone(), &mut other_key].map(|program| {
-        let frame = run(chip, program)?.frame;
+        let frame = run(image, program)?.frame;
         anyhow::Ok(frame[frame.len() - 6..].to_vec())
     });
     ensure!(tag? != other_tag?, "another key makes the same tag");
@@ -85,8 +85,8 @@ fn set_payload_length(program: &mut Program, length: u32) -> Result<()> {
 }
 
 /// Runs from reset to the end.
-fn run(chip: Chip, program: &mut Program) -> Result<Run> {
-    let mut machine = Machine::reset(chip, program)?;
+fn run(image: &Image, program: &mut Program) -> Result<Run> {
+    let mut machine = Machine::reset(image.chip, program)?;
     let [sign, verify] = FUNCTIONS.map(|path| program.find(path));
     let functions = [sign?.start, verify?.start];
     let memory = program.find("MEMORY")?;
@@ -114,12 +114,12 @@ fn run(chip: Chip, program: &mut Program) -> Result<Run> {
     }
     run.stack = top - lowest;
     run.frame.truncate(usize::from(run.frame[1]) + 25);
-    check(chip, program, &machine, &run)?;
+    check(image, program, &machine, &run)?;
     Ok(run)
 }
 
 /// Whether all verdicts are right, and the frame is what another implementation makes.
-fn check(chip: Chip, program: &mut Program, machine: &Machine, run: &Run) -> Result<()> {
+fn check(image: &Image, program: &mut Program, machine: &Machine, run: &Run) -> Result<()> {
     let calls = [run.calls[0].len(), run.calls[1].len()];
     ensure!(
         calls == CALLS,
@@ -136,13 +136,17 @@ fn check(chip: Chip, program: &mut Program, machine: &Machine, run: &Run) -> Res
     unsigned[1] = u8::try_from(end - HEADER.len())?;
     unsigned.extend(&run.frame[HEADER.len()..end]);
     unsigned.extend([0; 2]);
-    let expected = wire::sign(&unsigned, &key, LINK_ID, u64::from_le_bytes(ticks));
+    let sign = match image.tags() {
+        Profile::Hmac => wire::sign,
+        Profile::Standard => wire::sign_standard,
+    };
+    let expected = sign(&unsigned, &key, LINK_ID, u64::from_le_bytes(ticks));
     ensure!(
         run.frame == expected,
         "on the wire: {:02x?}, expected: {expected:02x?}",
         run.frame
     );
-    match chip {
+    match image.chip {
         Chip::QemuM7 => {
             let verdict = machine.ram(program.find("demo::VERDICT")?);
             ensure!(verdict == [1, 0, 0, 0], "its verdict is {verdict:?}");
