@@ -201,7 +201,7 @@ fn conditions(given: &Given, times: &Times, asked: &[times::Pymavlink]) -> Resul
             size,
             compressions: [hmac, standard],
         } = message;
-        let fastest = times.checksum(*size)?;
+        let (fastest, _) = times.fastest_checksum(times.strictest(), *size)?;
         println!(
             "floor       {name}, {size} bytes: {hmac} compressions (Hmac), {standard} (Standard), and {fastest}"
         );

@@ -299,12 +299,10 @@ fn distribution() -> Result<()> {
 
 fn interoperation() -> Result<()> {
     let sh = shell("interop")?;
-    cmd!(
-        sh,
-        "cargo clippy --quiet --locked --all-targets -- -D warnings"
-    )
-    .run()?;
-    cmd!(sh, "cargo test --quiet --locked").run()?;
+    let all = ["--quiet", "--locked", "--workspace"];
+    cmd!(sh, "cargo clippy {all...} --all-targets -- -D warnings").run()?;
+    // The benchmark is no test: `cargo xtask bench`.
+    cmd!(sh, "cargo test {all...} --lib --bins").run()?;
     interop::run(&interop::Options::default())
 }
 

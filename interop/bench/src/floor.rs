@@ -1,5 +1,7 @@
 //! The floor: the compressions of SHA-256 that a frame needs, and its checksum; nothing else.
 
+use std::slice;
+
 use mavlink_signing::{
     MessageId, dialect,
     field::{CHECKSUM_SIZE, HEADER_SIZE, SIGNATURE_SIZE, TAG_SIZE},
@@ -66,8 +68,8 @@ impl Profile {
 
 /// What is left of a frame when nothing but hash and checksum is to be done.
 pub struct Input {
-    /// The blocks of each hash, one after another.
-    hashes: Vec<Vec<Block>>,
+    /// The blocks of its hashes, one after another.
+    blocks: Vec<Block>,
     /// What lies under the checksum, the message's CRC_EXTRA at its end.
     checked: Vec<u8>,
 }
@@ -81,23 +83,22 @@ impl Input {
     #[must_use]
     pub fn of(profile: Profile, message: &Message, frame: &[u8]) -> Self {
         let (covered, tag) = frame.split_at(frame.len() - TAG_SIZE);
-        let (hashes, digest) = match profile {
+        let (blocks, digest) = match profile {
             Profile::Hmac => hmac(covered),
             Profile::Standard => {
                 let blocks = padded(0, &[&KEY, covered].concat());
                 let digest = digest(INITIAL, &blocks);
-                (vec![blocks], digest)
+                (blocks, digest)
             }
         };
         assert_eq!(digest[..TAG_SIZE], *tag, "the blocks of {}", profile.name());
-        let blocks: usize = hashes.iter().map(Vec::len).sum();
-        assert_eq!(blocks, profile.compressions(message.size));
+        assert_eq!(blocks.len(), profile.compressions(message.size));
 
         let id = MessageId::new(message.id).expect("24 bits");
         let crc_extra = dialect::crc_extra(id).expect("a message");
         let mut checked = frame[1..HEADER_SIZE + message.size].to_vec();
         checked.push(crc_extra);
-        Self { hashes, checked }
+        Self { blocks, checked }
     }
 
     /// The checksum of the frame.
@@ -106,19 +107,19 @@ impl Input {
         C::of(&self.checked)
     }
 
-    /// The compressions, each from the result of the one before, and the checksum.
+    /// The compressions, one by one, each from the result of the one before.
     #[must_use]
-    pub fn run<C: Checksum>(&self) -> ([u32; 8], u16) {
+    pub fn compress(&self) -> [u32; 8] {
         let mut state = INITIAL;
-        for blocks in &self.hashes {
-            compress256(&mut state, blocks);
+        for block in &self.blocks {
+            compress256(&mut state, slice::from_ref(block));
         }
-        (state, self.checksum::<C>())
+        state
     }
 }
 
 /// The blocks of inner and outer hash after those of the key, and the outer digest.
-fn hmac(covered: &[u8]) -> (Vec<Vec<Block>>, [u8; DIGEST]) {
+fn hmac(covered: &[u8]) -> (Vec<Block>, [u8; DIGEST]) {
     let keyed = |pad: u8| {
         let mut block = [pad; BLOCK];
         for (slot, byte) in block.iter_mut().zip(KEY) {
@@ -131,7 +132,7 @@ fn hmac(covered: &[u8]) -> (Vec<Vec<Block>>, [u8; DIGEST]) {
     let inner = padded(BLOCK, covered);
     let outer = padded(BLOCK, &digest(keyed(0x36), &inner));
     let whole = digest(keyed(0x5c), &outer);
-    (vec![inner, outer], whole)
+    ([inner, outer].concat(), whole)
 }
 
 /// The blocks of `bytes` at the end of a message, `before` bytes of which are hashed already.

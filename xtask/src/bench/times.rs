@@ -130,32 +130,21 @@ impl Times {
         Ok(self.measured(mode, what, size)? - self.measured(mode, "nothing", 0)?)
     }
 
-    /// The floor of `profile`, with the fastest checksum.
+    /// The floor of `profile`: its compressions and the fastest checksum, each alone, added up.
     pub(super) fn floor(&self, mode: Mode, profile: &str, size: usize) -> Result<f64> {
-        let floors = self.floors(mode, profile, size);
-        let fastest = floors.min_by(|(_, a), (_, b)| a.total_cmp(b));
-        let (_, time) = fastest.with_context(|| format!("no floor of {profile}, {size}"))?;
-        Ok(time - self.measured(mode, "nothing", 0)?)
+        let compressions = self.get(mode, &format!("compressions {profile}"), size)?;
+        let (_, checksum) = self.fastest_checksum(mode, size)?;
+        Ok(compressions + checksum - self.measured(mode, "nothing", 0)?)
     }
 
-    /// The checksum that is the fastest in the floors of payloads with `size` bytes.
-    pub(super) fn checksum(&self, size: usize) -> Result<&str> {
-        let floors = self.floors(self.strictest(), "Standard", size);
-        let fastest = floors.min_by(|(_, a), (_, b)| a.total_cmp(b));
-        fastest
-            .map(|(name, _)| name)
-            .with_context(|| format!("no floor, {size}"))
-    }
-
-    /// Each checksum's floor: its name and the time.
-    fn floors(&self, mode: Mode, profile: &str, size: usize) -> impl Iterator<Item = (&str, f64)> {
-        let begin = format!("floor {profile}: ");
-        self.rust
-            .iter()
-            .filter_map(move |((group, what, of), time)| {
-                let name = what.strip_prefix(&begin)?;
-                (group == mode.group() && *of == size).then_some((name, *time))
-            })
+    /// The checksum that is the fastest for payloads with `size` bytes: its name and the time.
+    pub(super) fn fastest_checksum(&self, mode: Mode, size: usize) -> Result<(&str, f64)> {
+        let checksums = self.rust.iter().filter_map(|((group, what, of), time)| {
+            let name = what.strip_prefix("checksum: ")?;
+            (group == mode.group() && *of == size).then_some((name, *time))
+        });
+        let fastest = checksums.min_by(|(_, a), (_, b)| a.total_cmp(b));
+        fastest.with_context(|| format!("no checksum, {size}"))
     }
 
     fn measured(&self, mode: Mode, what: &str, size: usize) -> Result<f64> {
