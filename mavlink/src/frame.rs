@@ -42,7 +42,7 @@ impl Signature {
 /// A received frame: a view of its bytes that nobody has vouched for yet.
 ///
 /// The header can be read, for logs and routing, and the bytes as a whole, to be passed on. There is
-/// no accessor for the payload: that is [`Verified`](crate::Verified)'s.
+/// no accessor for the payload: [`Verified`](crate::Verified) has one, and [`Unsigned`](crate::Unsigned).
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FrameRef<'a> {
     bytes: &'a [u8],

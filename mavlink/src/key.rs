@@ -43,7 +43,7 @@ impl<P: Profile> SigningKey<P> {
     }
 
     /// The key that a pass-phrase stands for: SHA-256 of its UTF-8 bytes, as MAVProxy and Mission
-    /// Planner make it.
+    /// Planner make it of one in ASCII.
     ///
     /// As hard to guess as the pass-phrase, and no harder: a hash is tried a billion times a second.
     ///

@@ -21,7 +21,7 @@ const SECRET_KEY: usize = INITIAL_TIMESTAMP_SIZE + 2;
 const PAYLOAD_SIZE: usize = SECRET_KEY + KEY_SIZE;
 
 /// A key on its way to one component, and the timestamp to begin with (MAVLink guide, "Message
-/// Signing", Sharing Secret Keys).
+/// Signing", Secret Key Management).
 ///
 /// It is sent in plain text: over a cable, or a link that nobody else can read. [`Debug`] does not show
 /// the key, and it is wiped when this is dropped.
@@ -39,7 +39,8 @@ pub struct SetupSigning {
 impl SetupSigning {
     /// What the payload of a SETUP_SIGNING frame says; its trailing zeros may be cut.
     ///
-    /// A key of zeros only, which asks the receiver to stop signing, is given as it is:
+    /// Whether the frame is SETUP_SIGNING at all, and for whom, the caller has looked at. A key of zeros
+    /// only, which with a timestamp of zero asks the receiver to stop signing, is given as it is:
     /// [`SigningKey::new`](crate::SigningKey::new) refuses it.
     ///
     /// # Errors
@@ -67,7 +68,8 @@ impl SetupSigning {
         Ok(setup)
     }
 
-    /// The frame that carries it: unsigned, with the fields of `header` but the message id.
+    /// The frame that carries it: unsigned, with the fields of `header` but the message id. It holds the
+    /// key, and is not wiped when it is dropped. Target 0 is everybody, who should not have it.
     ///
     /// # Errors
     ///

@@ -57,9 +57,9 @@ impl Links {
 /// What a receiver remembers of up to `N` streams. It is not copied: a copy would accept again what
 /// the original has accepted.
 ///
-/// Only an authentic frame takes a row, or one that this end [sent](Streams::sent), and no row is given
-/// up: when all are taken, further streams are refused. Whoever has the key can therefore fill the
-/// table; nobody else can.
+/// Only an accepted frame takes a row, or one that this end [sent](Streams::sent), and no row is given up:
+/// when all are taken, further streams are refused. So `N` counts the components that this end signs for
+/// too. Whoever has the key can fill the table, and so can equipment that is signed for; nobody else.
 #[derive(Debug)]
 pub struct Streams<const N: usize> {
     links: Links,
@@ -124,8 +124,8 @@ impl<const N: usize> Streams<N> {
         self.window
     }
 
-    /// Every stream of which a frame was accepted or sent, and the timestamp up to which all of its
-    /// frames are refused.
+    /// Every stream of which a frame was accepted or sent, and the timestamp of the newest: up to it all
+    /// frames of the stream are refused, and up to the mark that the receiver was resumed at.
     pub fn rows(&self) -> impl Iterator<Item = (Stream, Option<Timestamp>)> {
         self.rows.iter().map(|row| (row.stream, row.fresh.used()))
     }

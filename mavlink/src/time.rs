@@ -132,7 +132,7 @@ impl Window {
 pub struct Stamp {
     /// The link, and with it the direction, that the frame is sent on.
     pub link_id: u8,
-    /// When it is sent; never the same twice under one key and link id.
+    /// When it is sent; by one sender never the same twice under one key and link id.
     pub timestamp: Timestamp,
 }
 

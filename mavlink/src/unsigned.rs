@@ -59,7 +59,8 @@ impl UnsignedPolicy for RadioStatus {
     }
 }
 
-/// Everything that comes in on one link, which nobody else can reach: a cable.
+/// Everything that comes in on one link, which nobody else can reach: a cable. In a relay that is all of
+/// its secure side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TrustedPort {
     /// The link, as the receiver numbers it.

@@ -41,12 +41,12 @@ impl Authentic<'_> {
 /// A frame to act on: signed with the key, for this link, inside the window, and newer than every
 /// frame accepted before.
 ///
-/// Made by [`Replay::admit`] alone, and not copied, so that it is acted on once.
+/// Made by [`Replay::admit`] and [`Streams::admit`](crate::Streams::admit) alone, and not copied, so that it is acted on once.
 #[derive(Debug)]
 pub struct Verified<'a>(Authentic<'a>);
 
 impl<'a> Verified<'a> {
-    /// Only for [`Replay::admit`].
+    /// Only for what admits a frame.
     pub(crate) const fn new(frame: Authentic<'a>) -> Self {
         Self(frame)
     }

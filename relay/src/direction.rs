@@ -131,7 +131,7 @@ impl<R: Admit, U: UnsignedPolicy> Verifier<R, U> {
 /// The frame in a packet that may pass in any direction.
 ///
 /// MAVLink 1 has no place for a signature. SETUP_SIGNING carries a key in plain text and is for the
-/// one component that it is sent to (MAVLink guide, "Message Signing", Sharing Secret Keys).
+/// one component that it is sent to (MAVLink guide, "Message Signing", Secret Key Management).
 fn passable(packet: Packet<'_>) -> Result<FrameRef<'_>, Refusal> {
     match packet {
         Packet::Mavlink1(_) => Err(Refusal::Mavlink1),

@@ -38,7 +38,8 @@ pub enum Refusal {
     NotSigned,
     /// Signed with another key, or forged.
     BadTag,
-    /// Authentic, but made for another link: one's own frames, reflected.
+    /// Authentic, but made for another link; with [`Replay`](mavlink_signing::Replay) also one's own
+    /// frames, reflected.
     WrongLink,
     /// Authentic, but stamped later than the window allows.
     FromFuture,
@@ -231,7 +232,8 @@ impl Counters {
         self.unsigned
     }
 
-    /// The sender that the last refused packet named: whoever sent it may have named another.
+    /// The sender that the last refused packet named: whoever sent it may have named another. What was
+    /// no whole packet, damaged or of an unknown message, names nobody and is left out.
     #[must_use]
     pub const fn last_offender(&self) -> Option<Offender> {
         self.last_offender

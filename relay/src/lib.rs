@@ -4,15 +4,15 @@
 //! plain side            signed with the key, on one link id            secure side
 //! (autopilot, UART)  ------------------------------------------>  (radio, network)
 //!                    <------------------------------------------
-//!                    only verified frames, of the other link id
+//!                    only verified frames
 //! ```
 //!
 //! * Plain to secure: a frame is signed only if its own checksum is right. Bad checksums, unknown
 //!   messages, MAVLink 1 and frames that are already signed are refused and counted. The payload of a
 //!   refused packet is not searched for packets, so that bytes that somebody else put there are not
 //!   signed: [`Resync::AnnouncedEnd`](mavlink_signing::Resync).
-//! * Secure to plain: only verified frames leave, without signature or whole. Everything else is
-//!   refused and counted by reason. The relay signs nothing that came in on the secure side; where the
+//! * Secure to plain: only verified frames leave, without signature or whole, and unsigned ones that a
+//!   [policy](Relay::accepting) accepts, if there is one. Everything else is refused and counted by reason. The relay signs nothing that came in on the secure side; where the
 //!   plain side may send back what it receives, hand frames on [whole](Forward::Whole), so that they
 //!   are refused as already signed.
 //! * SETUP_SIGNING, which carries a key, passes in neither direction.
@@ -171,7 +171,10 @@ impl<P: Profile, R: Admit> Relay<P, R> {
     }
 
     /// The same relay, which also hands on to the plain side what comes in unsigned and `policy`
-    /// accepts. The policy is told the link id that the relay signs for.
+    /// accepts. The policy is told the link id that the relay signs for, whatever the peers sign for.
+    ///
+    /// Unsigned it leaves, with [`Forward::Whole`] too: the plain side cannot tell it from what was
+    /// verified and stripped, and signs it if it sends it back.
     #[must_use]
     pub fn accepting<U: UnsignedPolicy>(self, policy: U) -> Relay<P, R, U> {
         let link_id = self.link.link_id;

@@ -234,7 +234,7 @@ fn firmware_lints() -> Result<Option<String>> {
         for features in [
             "common",
             "common,logging",
-            "common,logging,standard",
+            "common,logging,standard-signature",
             "minimal,leaky",
         ] {
             let mut cargo = toolchain.cargo("clippy");

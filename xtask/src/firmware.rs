@@ -63,7 +63,7 @@ const fn demo(chip: Chip, rounds: Rounds) -> Image {
 /// The same with the standard's signature.
 const fn standard_demo(chip: Chip, rounds: Rounds) -> Image {
     Image {
-        features: &["minimal", "standard"],
+        features: &["minimal", "standard-signature"],
         ..demo(chip, rounds)
     }
 }
@@ -143,7 +143,11 @@ const BUDGETS: &[Budget] = &[
         }),
     },
     Budget {
-        image: deployed(Chip::QemuM7, "relay", &["ardupilotmega", "standard"]),
+        image: deployed(
+            Chip::QemuM7,
+            "relay",
+            &["ardupilotmega", "standard-signature"],
+        ),
         flash: 13_500,
         ram: 64,
         demo: None,

@@ -7,7 +7,6 @@ mod live;
 
 use std::{
     collections::BTreeMap,
-    env,
     fmt::Write as _,
     fs,
     path::{Path, PathBuf},
@@ -136,9 +135,7 @@ struct Peers {
 impl Peers {
     /// Finds or installs them, below `target/`.
     fn prepare() -> Result<Self> {
-        let target = env::var_os("CARGO_TARGET_DIR");
-        let target = target.map_or_else(|| root().join("target"), PathBuf::from);
-        let folder = target.join("interop");
+        let folder = setup::target_dir()?.join("interop");
         fs::create_dir_all(&folder)?;
         // A process in another folder is given it too.
         let folder = folder.canonicalize()?;

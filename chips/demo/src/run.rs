@@ -10,9 +10,9 @@ use mavlink_signing::{
 
 use crate::{DEMO_KEY, info};
 
-#[cfg(not(feature = "standard"))]
+#[cfg(not(feature = "standard-signature"))]
 type SigningKey = mavlink_signing::SigningKey<mavlink_signing::Hmac>;
-#[cfg(feature = "standard")]
+#[cfg(feature = "standard-signature")]
 type SigningKey = mavlink_signing::SigningKey<mavlink_signing::Standard>;
 
 /// What lasts, outside of the stack.

@@ -83,7 +83,7 @@ pub(crate) struct Image {
 
 impl Image {
     pub(crate) fn tags(&self) -> Profile {
-        if self.features.contains(&"standard") {
+        if self.features.contains(&"standard-signature") {
             Profile::Standard
         } else {
             Profile::Hmac

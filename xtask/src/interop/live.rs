@@ -37,7 +37,7 @@ pub(super) fn run(peers: &Peers, report: &mut Report) -> Result<()> {
         bin: "relay",
         profile: "release",
         rounds: Rounds::Looped,
-        features: &["ardupilotmega", "standard"],
+        features: &["ardupilotmega", "standard-signature"],
         default_features: true,
     })?;
     let passphrase = root().join("chips/demo/demo.passphrase");

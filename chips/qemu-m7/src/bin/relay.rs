@@ -14,7 +14,7 @@ const LINK_OUT: u8 = 1;
 const QUIET: u64 = TICKS_PER_SECOND;
 
 /// With mavseal at both ends: its own profile, one peer, and a clock that both share.
-#[cfg(not(feature = "standard"))]
+#[cfg(not(feature = "standard-signature"))]
 mod peer {
     use mavlink_signing::{Hmac, KeyError, Replay, SigningKey, Window};
     use mavseal_qemu_m7::{DEMO_KEY, info};
@@ -40,9 +40,9 @@ mod peer {
 }
 
 /// With MAVProxy and other ground stations: the standard's signature, a key that can be typed, streams
-/// for them and for what is behind the relay, and the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp
-/// Handling), either way.
-#[cfg(feature = "standard")]
+/// for them and for what is behind the relay, and the minute that the MAVLink guide gives a sender
+/// ("Message Signing", Timestamp Handling), either way.
+#[cfg(feature = "standard-signature")]
 mod peer {
     use mavlink_signing::{
         KeyError, Links, SigningKey, Standard, Streams, TICKS_PER_SECOND, Window,
