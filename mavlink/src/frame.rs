@@ -147,7 +147,7 @@ impl fmt::Debug for FrameRef<'_> {
         f.debug_struct("FrameRef")
             .field("header", &self.header())
             .field("payload_length", &self.payload.len())
-            .field("signature", &self.signature())
+            .field("stamp", &self.signature().map(|signature| signature.stamp))
             .finish()
     }
 }

@@ -52,6 +52,19 @@ mod twins {
         assert_eq!(checksum(b"12345678", b'9'), 0x6F91);
     }
 
+    /// Every value of each of 64 bytes: with tables, each entry of each table.
+    #[test]
+    fn c1_every_byte() {
+        let mut covered = [0; 64];
+        for index in 0..covered.len() {
+            for byte in 0..=u8::MAX {
+                covered[index] = byte;
+                whole_is_the_fold(&covered, 0);
+            }
+            covered[index] = 0;
+        }
+    }
+
     /// The checksum of zeros, and of each single bit that is one, for every length. Both computations are
     /// linear but for a constant, by table or not: they agree on these, so they agree on every packet.
     #[test]

@@ -92,16 +92,28 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
     now: Timestamp,
     index: usize,
 ) -> Result<(), Refusal> {
+    let asked = Cell::new(0_u8);
     let policy = |_: Claim| {
-        assert!(!received.is_signed());
+        asked.set(asked.get() + 1);
         true
     };
     let mut verifier = Verifier::new(receiver.replay(), Forward::Whole).accepting(1, policy);
-    let handed_on = verifier.verify(Packet::Mavlink2(received), key, now)?;
-    assert_ne!(received.header().message_id, SETUP_SIGNING);
-    let frame = match handed_on {
+    let handed_on = verifier.verify(Packet::Mavlink2(received), key, now);
+    let id = received.header().message_id;
+    let unsigned = match crc_extra(id) {
+        _ if received.is_signed() => None,
+        _ if id == SETUP_SIGNING => Some(Err(Refusal::SetupSigning)),
+        None => Some(Err(Refusal::UnknownMessage)),
+        Some(extra) if !received.checksum_matches(extra) => Some(Err(Refusal::BadChecksum)),
+        Some(_) => Some(Ok(())),
+    };
+    assert_eq!(asked.get(), u8::from(unsigned == Some(Ok(()))));
+    if let Some(expected) = unsigned {
+        assert_eq!(handed_on.as_ref().map(drop), expected.as_ref().map(drop));
+    }
+    let frame = match handed_on? {
         Handed::Verified(frame) => {
-            assert!(received.is_signed());
+            assert!(received.is_signed() && id != SETUP_SIGNING);
             frame
         }
         Handed::Unsigned(frame) => {
@@ -144,15 +156,18 @@ mod twins {
         ) {
             let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
             let mut header = HEARTBEAT;
-            header.message_id = MessageId::new(id).expect("24 bits");
-            let Ok(mut frame) = Frame::new(header, &payload) else {
-                return Ok(());
-            };
+            // What no dialect knows is written over what one does.
+            let unknown = id == 0xF0_F0F0;
+            header.message_id = MessageId::new(if unknown { 0 } else { id }).expect("24 bits");
+            let mut frame = Frame::new(header, &payload).expect("a known message");
             if signed {
                 let stamp = Stamp { link_id: 2, timestamp: at(5) };
                 sign_frame(&mut frame, &key, stamp).expect("signed");
             }
             let mut bytes = frame.as_bytes().to_vec();
+            if unknown {
+                bytes[7..10].fill(0xF0);
+            }
             if let Some(byte) = damaged.and_then(|at| bytes.get_mut(at)) {
                 *byte ^= 0x10;
             }
@@ -161,7 +176,7 @@ mod twins {
             prop_assert!(verdict.is_err() || (accepts && !signed));
             let receiver = Resumed { link_id: 2, window: Window::SEED, first: Timestamp::ZERO };
             let handed_on = only_unsigned_is_asked_about(received, &key, receiver, at(5), index);
-            prop_assert!(handed_on.is_ok() || damaged.is_some() || id == 256);
+            prop_assert!(handed_on.is_ok() || damaged.is_some() || unknown || id == 256);
         }
     }
 

@@ -301,18 +301,17 @@ fn nothing_shows_a_key() {
     assert_eq!(format!("{:?}", key()), "SigningKey(redacted)");
 }
 
-/// Logs say what a frame is, and nothing of a payload that nobody has vouched for.
+/// Logs say what a frame is, and nothing of a payload that nobody has vouched for, nor the tag.
 #[test]
 fn a_frame_is_shown_without_its_payload() {
     for frame in [unsigned(0, &[0xA5; 3]), signed(&[0xA5; 3], NOW)] {
         let received = FrameRef::parse(frame.as_bytes()).expect("a frame");
-        let (header, signature) = (received.header(), received.signature());
+        let header = received.header();
+        let stamp = received.signature().map(|signature| signature.stamp);
         let shown = format!("{received:?}");
         assert_eq!(
             shown,
-            format!(
-                "FrameRef {{ header: {header:?}, payload_length: 3, signature: {signature:?} }}"
-            )
+            format!("FrameRef {{ header: {header:?}, payload_length: 3, stamp: {stamp:?} }}")
         );
         assert_eq!(format!("{frame:?}"), shown);
     }
@@ -398,6 +397,8 @@ fn errors_say_what_is_wrong() {
         VerifyError::FromFuture.to_string(),
         VerifyError::TooOld.to_string(),
         VerifyError::Replayed.to_string(),
+        VerifyError::StreamsFull.to_string(),
+        VerifyError::Signed.to_string(),
     ];
     assert_eq!(
         said.join("\n"),
@@ -418,7 +419,9 @@ fn errors_say_what_is_wrong() {
          made for link 9\n\
          stamped in the future\n\
          stamped too long ago\n\
-         not newer than the last accepted frame"
+         not newer than the last accepted frame\n\
+         a new stream, and the table of streams is full\n\
+         the frame is signed"
     );
     let parse = VerifyError::Parse(ParseError::Truncated);
     let source = parse.source().and_then(|source| source.downcast_ref());
