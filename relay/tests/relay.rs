@@ -9,8 +9,8 @@ use mavlink_signing::{
     crc::checksum, sign_frame,
 };
 use mavseal_relay::{
-    Counters, Direction, Event, Forward, Offender, PortError, Refusal, Relay, SameLinkId, Signer,
-    Verifier,
+    Counters, Direction, Event, Forward, IDLE, Offender, PortError, Refusal, Relay, SameLinkId,
+    Signer, Verifier,
 };
 
 const KEY: [u8; 32] = *b"a key for tests, known to anyone";
@@ -601,6 +601,7 @@ fn errors_of_the_core_are_reasons() {
     };
     let error = sign_frame(&mut frame, &key(), stamp).expect_err("signed twice");
     assert_eq!(Refusal::from(error), Refusal::AlreadySigned);
+    assert_eq!(Refusal::from(VerifyError::Signed), Refusal::AlreadySigned);
 }
 
 #[test]
@@ -682,6 +683,7 @@ fn a_policy_lets_unsigned_frames_through_as_they_are() {
     assert_eq!(bench.plain.output, expected);
     let counters = bench.relay.secure_to_plain();
     assert_eq!((counters.passed(), counters.unsigned()), (1, 1));
+    assert_eq!(bench.relay.plain_to_secure().unsigned(), 0);
 }
 
 #[test]
@@ -730,4 +732,44 @@ fn own_frames_are_refused_on_a_shared_link_id() {
     bench.secure_in(peer.as_bytes());
     assert_eq!(bench.relay.secure_to_plain().passed(), 1);
     assert_eq!(bench.plain.output, peer.as_bytes());
+}
+
+/// What is refused says who it is from, also in MAVLink 1.
+#[test]
+fn the_last_offender_is_named() {
+    let mut bench = Bench::new();
+    // A heartbeat of system 7, component 9.
+    let mut heartbeat = vec![0xFE, 9, 78, 7, 9, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3];
+    heartbeat.extend(checksum(&heartbeat[1..], 50).to_le_bytes());
+    bench.plain_in(&heartbeat);
+    let offender = Offender {
+        system_id: 7,
+        component_id: 9,
+        link_id: None,
+        message_id: MessageId::from(0),
+        refusal: Refusal::Mavlink1,
+    };
+    let counters = bench.relay.plain_to_secure();
+    assert_eq!(counters.last_offender(), Some(offender));
+}
+
+/// While the output holds a frame back, what is behind it on the input may be held back too: a packet of
+/// which the first half has come is not given up for that.
+#[test]
+fn a_held_back_output_is_no_silence_of_the_input() {
+    let mut bench = Bench::new();
+    let (first, second) = (unsigned(&[1, 2, 3]), unsigned(&[4, 5, 6]));
+    let (begin, end) = second.as_bytes().split_at(7);
+    bench.secure.room = 0;
+    bench.plain_in(&[first.as_bytes(), begin].concat());
+    for _ in 0..3 {
+        bench.now += IDLE;
+        bench.run();
+    }
+    bench.secure.room = usize::MAX;
+    bench.now += IDLE;
+    bench.run();
+    bench.plain_in(end);
+    assert_eq!(bench.relay.plain_to_secure().passed(), 2);
+    assert_eq!(bench.relay.plain_to_secure().dropped(), 0);
 }

@@ -29,6 +29,9 @@ use outcome::{Results, Survivors};
 const CORES: [&str; 2] = ["mavlink-signing", "mavseal-relay"];
 const TESTS: [&str; 3] = ["mavlink-signing", "mavseal-relay", "mavseal-proofs"];
 
+/// What is compiled with a feature alone: the feature, and which mutants are tried once more with it.
+const FEATURE: [&str; 2] = ["mavlink-signing/fast-checksum", r"crc\.rs.*fold|low::"];
+
 /// The least score, in percent.
 const BAR: f64 = 95.0;
 
@@ -75,7 +78,17 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let tree = Snapshot::take(&root, &folder)?.tree();
     let sources = sources(&tree)?;
     let limit = baseline(&tree, &folder)?;
-    let tried = outcome::read(&try_all(&tree, &folder, limit, options)?)?;
+    let mut tried = outcome::read(&try_all(&tree, &folder, limit, options, None)?)?;
+    if options.only.is_none() {
+        let again = try_all(
+            &tree,
+            &folder.join("feature"),
+            limit,
+            options,
+            Some(FEATURE),
+        )?;
+        outcome::merge(&mut tried, outcome::read(&again)?);
+    }
     let survivors = Survivors::load(&tree)?;
     let faults = survivors.faults(&tried, options.only.is_none());
     let results = Results {
@@ -190,8 +203,15 @@ fn baseline(tree: &Path, folder: &Path) -> Result<Duration> {
     Ok(start.elapsed() * 10 + Duration::from_secs(20))
 }
 
-/// Has cargo-mutants try the mutants; gives the folder with what came out.
-fn try_all(tree: &Path, folder: &Path, limit: Duration, options: &Options) -> Result<PathBuf> {
+/// Has cargo-mutants try the mutants, or those that `feature` asks for; gives the folder with what came
+/// out.
+fn try_all(
+    tree: &Path,
+    folder: &Path,
+    limit: Duration,
+    options: &Options,
+    feature: Option<[&str; 2]>,
+) -> Result<PathBuf> {
     // It copies the tree to where temporary files are, and builds there.
     let copies = folder.join("copies");
     fs::create_dir_all(&copies)?;
@@ -203,6 +223,9 @@ fn try_all(tree: &Path, folder: &Path, limit: Duration, options: &Options) -> Re
     cargo.args(["--jobs", &options.jobs.to_string()]);
     if let Some(regex) = &options.only {
         cargo.args(["--re", regex]);
+    }
+    if let Some([feature, regex]) = feature {
+        cargo.args(["--features", feature, "--re", regex]);
     }
     // 2 and 3 tell of mutants that survived or took too long.
     match cargo.status()?.code() {
