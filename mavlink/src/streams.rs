@@ -79,6 +79,10 @@ impl<const N: usize> Admit for Streams<N> {
         Self::admit(self, frame, now)
     }
 
+    fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
+        Self::check(self, frame, now)
+    }
+
     fn takes(&self, link_id: u8) -> bool {
         self.links.take(link_id)
     }
@@ -136,26 +140,33 @@ impl<const N: usize> Streams<N> {
         frame: Authentic<'a>,
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError> {
+        self.check(&frame, now)?;
+        let stamp = frame.stamp();
+        let stream = Stream::of(frame.header(), stamp);
+        let inserted = self.rows.insert(stream, Fresh::after(stamp.timestamp));
+        inserted.map_err(|_| VerifyError::StreamsFull)?;
+        Ok(Verified::new(frame))
+    }
+
+    /// The verdict that [`Streams::admit`] would give; nothing changes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Streams::admit`].
+    pub fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
         let stamp = frame.stamp();
         if !self.links.take(stamp.link_id) {
             return Err(VerifyError::WrongLink(stamp.link_id));
         }
         self.window.check(stamp.timestamp, now)?;
-        let stream = Stream::of(frame.header(), stamp);
-        let row = self.rows.get_mut(&stream);
-        let fresh = row.as_deref().unwrap_or(&self.first);
-        if !fresh.contains(stamp.timestamp) {
+        let row = self.rows.get(&Stream::of(frame.header(), stamp));
+        if !row.unwrap_or(&self.first).contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }
-        let after = Fresh::after(stamp.timestamp);
-        match row {
-            Some(row) => *row = after,
-            None => {
-                let inserted = self.rows.insert(stream, after);
-                inserted.map_err(|_| VerifyError::StreamsFull)?;
-            }
+        if row.is_none() && self.rows.len() == self.rows.capacity() {
+            return Err(VerifyError::StreamsFull);
         }
-        Ok(Verified::new(frame))
+        Ok(())
     }
 
     /// For proofs: with these rows.

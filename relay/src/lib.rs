@@ -15,7 +15,13 @@
 //!   refused and counted by reason. The relay signs nothing that came in on the secure side; where the
 //!   plain side may send back what it receives, hand frames on [whole](Forward::Whole), so that they
 //!   are refused as already signed.
-//! * SETUP_SIGNING, which carries a key, passes in neither direction.
+//! * SETUP_SIGNING, which carries a key, passes in neither direction. What comes for the relay itself on the
+//!   plain side, a cable, it [takes](Relay::take_setup) if it is told to: [`Relay::taking_setup`].
+//!
+//! # Over a restart
+//!
+//! With a [`Kept`] as its clock, no stamp is used again and no frame accepted again after the power failed,
+//! wherever it did. [`KeySlots`] keep the key, and both keys while it is changed.
 //!
 //! The relay knows no UART, no clock and no heap. Its ports are [`embedded_io`] ports that say
 //! whether they are ready, its time comes from a [`Clock`], and [`Relay::poll`] never waits. Each
@@ -41,38 +47,31 @@ extern crate kani;
 
 mod direction;
 mod event;
+mod kept;
 mod pump;
+mod slots;
 
 pub use direction::{Forward, Handed, Signer, Verifier};
 pub use event::{Counters, Direction, Event, Offender, Refusal};
+pub use kept::{FIRST_RESERVATION, Kept, KeptError};
+/// Where the relay takes the time from, and where it keeps its mark.
+///
+/// Without [`Kept`], it must be shared with the peer as closely as the [`Replay`]'s window asks for.
+pub use mavlink_signing::Timekeeper as Clock;
 pub use pump::PortError;
+pub use slots::{KEYS_SIZE, KeySlots};
 
 use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Admit, Profile, Refuse, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp,
-    UnsignedPolicy,
+    Admit, Keys, Profile, Refuse, Replay, SetupSigning, Stamper, TICKS_PER_SECOND, UnsignedPolicy,
 };
 use pump::Pump;
 
 /// Silence on a line after which a packet that has begun is given up, unless
 /// [said otherwise](Relay::idle): 100 milliseconds, in ticks of 10 microseconds.
 pub const IDLE: u64 = TICKS_PER_SECOND / 10;
-
-/// Where the relay takes the time from.
-///
-/// It must be shared with the peer as closely as the [`Replay`]'s window asks for.
-pub trait Clock {
-    /// The time now.
-    fn now(&mut self) -> Timestamp;
-}
-
-impl<F: FnMut() -> Timestamp> Clock for F {
-    fn now(&mut self) -> Timestamp {
-        self()
-    }
-}
 
 /// A port that can be polled.
 pub trait Port: Read + ReadReady + Write + WriteReady {}
@@ -128,7 +127,7 @@ pub struct Relay<P, R = Replay, U = Refuse> {
 
 /// What both directions share.
 struct Link<P> {
-    key: SigningKey<P>,
+    keys: Keys<P>,
     idle: u64,
     link_id: u8,
 }
@@ -143,14 +142,14 @@ impl<P, R, U> fmt::Debug for Relay<P, R, U> {
 }
 
 impl<P: Profile, R: Admit> Relay<P, R> {
-    /// A relay that signs with `key` and the stamps of `stamper`, verifies with `key` and
-    /// `receiver`, and hands verified frames on as `forward` says.
+    /// A relay that signs with `keys`, one key or the two of a change, and the stamps of `stamper`,
+    /// verifies with `keys` and `receiver`, and hands verified frames on as `forward` says.
     ///
     /// # Errors
     ///
     /// [`SameLinkId`] if `receiver` takes frames of the link that `stamper` signs for.
     pub fn new(
-        key: SigningKey<P>,
+        keys: impl Into<Keys<P>>,
         stamper: Stamper,
         receiver: R,
         forward: Forward,
@@ -161,7 +160,7 @@ impl<P: Profile, R: Admit> Relay<P, R> {
         }
         Ok(Self {
             link: Link {
-                key,
+                keys: keys.into(),
                 idle: IDLE,
                 link_id,
             },
@@ -192,6 +191,26 @@ impl<P: Profile, R: Admit, U: UnsignedPolicy> Relay<P, R, U> {
     pub const fn idle(mut self, ticks: u64) -> Self {
         self.link.idle = ticks;
         self
+    }
+
+    /// The same relay, which keeps the last SETUP_SIGNING for this system and component that comes in on the
+    /// plain side, for [`Relay::take_setup`]. The plain side must be one that nobody else can reach.
+    #[must_use]
+    pub fn taking_setup(mut self, system_id: u8, component_id: u8) -> Self {
+        let signer = self.plain_to_secure.treat_mut();
+        signer.keep_setup(system_id, component_id);
+        self
+    }
+
+    /// The SETUP_SIGNING that came since it was last asked for. Nothing has been done about it:
+    /// [`Keys::apply`] takes over its key, and [`Kept::tell`] its timestamp.
+    pub fn take_setup(&mut self) -> Option<SetupSigning> {
+        self.plain_to_secure.treat_mut().take_setup()
+    }
+
+    /// The keys of both directions, to be changed.
+    pub const fn keys(&mut self) -> &mut Keys<P> {
+        &mut self.link.keys
     }
 
     /// Takes one turn in each direction without waiting: sends what is left of the last frame; when

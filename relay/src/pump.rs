@@ -3,11 +3,11 @@
 use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Decoder, Frame, Profile, SigningKey, Timestamp, dialect};
+use mavlink_signing::{Decoder, Frame, Keys, Profile, Timekeeper, Timestamp, dialect};
 
+use crate::Link;
 use crate::direction::Treat;
 use crate::event::{Counters, Event, Offender};
-use crate::{Clock, Link};
 
 /// Bytes read at most in one poll.
 const READ_SIZE: usize = 64;
@@ -66,6 +66,10 @@ impl<T> Pump<T> {
     pub(crate) const fn counters(&self) -> &Counters {
         &self.counters
     }
+
+    pub(crate) const fn treat_mut(&mut self) -> &mut T {
+        &mut self.treat
+    }
 }
 
 impl<T: Treat> Pump<T> {
@@ -95,8 +99,8 @@ impl<T: Treat> Pump<T> {
         &mut self,
         input: &mut Input,
         output: &mut Output,
-        link: &Link<P>,
-        clock: &mut impl Clock,
+        link: &mut Link<P>,
+        clock: &mut impl Timekeeper,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
         let now = clock.now();
@@ -109,7 +113,7 @@ impl<T: Treat> Pump<T> {
         if self.sending.is_some() {
             return Ok(sent);
         }
-        if self.treat_next(&link.key, now, observe) {
+        if self.treat_next(&mut link.keys, clock, observe) {
             return Ok(true);
         }
         let received = self.receive(input, link.idle, now)?;
@@ -146,14 +150,14 @@ impl<T: Treat> Pump<T> {
     /// Looks at the next packet that has arrived; whether there was one.
     fn treat_next<P: Profile>(
         &mut self,
-        key: &SigningKey<P>,
-        now: Timestamp,
+        keys: &mut Keys<P>,
+        clock: &mut impl Timekeeper,
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let decoded = self.decoder.read();
         let treated = decoded.map(|decoded| match decoded {
             Ok(packet) => {
-                let treated = self.treat.treat(packet, key, now);
+                let treated = self.treat.treat(packet, keys, clock);
                 treated.map_err(|refusal| (refusal, Some(Offender::new(&packet, refusal))))
             }
             Err(error) => Err((error.into(), None)),
