@@ -6,6 +6,7 @@
 
 pub mod frames;
 pub mod input;
+pub mod memory;
 pub mod ports;
 pub mod reached;
 pub mod repair;
@@ -50,6 +51,8 @@ targets! {
     values::diff_hmac: input,
     values::checksum_table: input,
     values::stamps: input,
+    memory::store_crash: input,
+    memory::key_change: input,
 }
 
 fn bytes(bytes: &[u8], target: impl Fn(&[u8])) {

@@ -1,5 +1,6 @@
 //! Where fuzzing begins: inputs named by what they are, `cargo xtask fuzz seeds`.
 
+mod memory;
 mod packets;
 mod streams;
 mod values;
@@ -46,6 +47,7 @@ pub fn all(telemetry: &[Vec<u8>]) -> Vec<Seed> {
     seeds.pipes(telemetry);
     seeds.ports();
     seeds.values();
+    seeds.memory();
     seeds.0
 }
 

@@ -47,17 +47,18 @@ pub enum Sync {
     Trusted,
 }
 
-/// The time at one end of a link, counted on a timer from the last moment that somebody told.
+/// The time at one end of a link, counted on a timer from the last moment that somebody told. It goes with
+/// [`Window::LINK`].
 ///
-/// | set by | a frame that is stamped ahead of it | a frame that is stamped behind it |
-/// |---|---|---|
-/// | nobody: [`Sync::Unsynced`] | sets it | sets it |
-/// | a peer: [`Sync::Peer`] | sets it | refused beyond the window |
-/// | [`Sync::Trusted`] | refused beyond the window, sets it otherwise | refused beyond the window |
+/// | set by | a frame in its window | a frame ahead of it | a frame behind it |
+/// |---|---|---|---|
+/// | nobody: [`Sync::Unsynced`] | sets it | sets it | sets it |
+/// | a peer: [`Sync::Peer`] | slews it | sets it | refused |
+/// | [`Sync::Trusted`] | slews it | refused | refused |
 ///
-/// Only frames that are authentic and newer than all before come so far. One that is accepted and behind
-/// the clock takes it back by as much as a crystal may have gained since the last, so that a fast clock does
-/// not run away from its peers.
+/// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
+/// the frame's stamp by no more than a crystal may have gained or lost: clocks stay together, and a sender
+/// whose stamps are ahead of its clock, since it has skipped a reservation, takes nobody along.
 ///
 /// A clock that no trusted source has set has nothing to hold against a frame from the future, and must
 /// follow it: if it did not, a frame of last week, recorded and played to it, would make it refuse all of
@@ -78,7 +79,7 @@ pub struct Clock {
     set: u64,
     /// Ticks that bounded sources have moved it since.
     stepped: u64,
-    /// Ticks that peers have taken it back since.
+    /// Ticks that peers have slewed it since, either way.
     slewed: u64,
     drift: u32,
 }
@@ -91,12 +92,13 @@ impl Clock {
     /// which is 244 parts in a million.
     pub const CRYSTAL: u32 = 12;
 
-    /// A clock that nobody has set, which begins with `mark`: what was stored before the restart, or
+    /// A clock that nobody has set, which begins with `earliest`: a time that has certainly passed, such as
+    /// the mark from before the restart less the [`RESERVATION`](crate::RESERVATION), or
     /// [`Timestamp::ZERO`].
     #[must_use]
-    pub const fn unsynced(mark: Timestamp, timer: u64) -> Self {
+    pub const fn unsynced(earliest: Timestamp, timer: u64) -> Self {
         Self {
-            time: mark,
+            time: earliest,
             since: timer,
             sync: Sync::Unsynced,
             confirmed: timer,
@@ -172,30 +174,39 @@ impl Clock {
     /// the frame.
     #[must_use]
     pub fn judged_at(&self, stamp: Timestamp, timer: u64) -> Timestamp {
-        let now = self.now(timer);
-        match self.sync(timer) {
-            Sync::Unsynced => stamp,
-            Sync::Peer => now.max(stamp),
-            Sync::Trusted => now,
+        if self.follows(stamp, timer) {
+            stamp
+        } else {
+            self.now(timer)
         }
     }
 
     /// Learns from a frame that was accepted.
     pub fn heard(&mut self, frame: &Verified<'_>, timer: u64) {
         let stamp = frame.stamp().timestamp;
+        if self.follows(stamp, timer) {
+            self.set(Sync::Peer, stamp, timer);
+            return;
+        }
         let now = self.now(timer);
+        let most = self.drifted(timer).saturating_sub(self.slewed);
+        let ahead = stamp.ticks_since(now).min(most);
+        let behind = now.ticks_since(stamp).min(most);
+        self.slewed = self.slewed.saturating_add(ahead).saturating_add(behind);
+        let earlier = now.ticks().saturating_sub(behind);
+        self.time = Timestamp::from_ticks(earlier)
+            .unwrap_or(now)
+            .saturating_add(ahead);
+        self.since = timer;
+        self.confirmed = timer;
+    }
+
+    /// Whether a frame stamped `stamp` sets it.
+    fn follows(&self, stamp: Timestamp, timer: u64) -> bool {
         match self.sync(timer) {
-            Sync::Unsynced => self.set(Sync::Peer, stamp, timer),
-            sync if stamp > now => self.set(sync, stamp, timer),
-            _ => {
-                let gained = self.drifted(timer).saturating_sub(self.slewed);
-                let back = now.ticks_since(stamp).min(gained);
-                self.slewed = self.slewed.saturating_add(back);
-                let earlier = now.ticks().saturating_sub(back);
-                self.time = Timestamp::from_ticks(earlier).unwrap_or(now);
-                self.since = timer;
-                self.confirmed = timer;
-            }
+            Sync::Unsynced => true,
+            Sync::Peer => stamp.ticks_since(self.now(timer)) > Window::LINK.ahead,
+            Sync::Trusted => false,
         }
     }
 

@@ -9,9 +9,9 @@ use mavlink_signing::{
 };
 use mavseal_store::{Mark, OpenError, Region};
 
-/// How far beyond the timestamps in use the first mark after a restart is stored: a quarter of a second,
-/// in ticks of 10 microseconds.
-pub const FIRST_RESERVATION: u64 = TICKS_PER_SECOND / 4;
+/// How far beyond the timestamps in use the first mark after a restart is stored: 10 milliseconds, in ticks
+/// of 10 microseconds. No end starts again as fast.
+pub const FIRST_RESERVATION: u64 = TICKS_PER_SECOND / 100;
 
 /// Why an end of a link cannot start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,11 +65,13 @@ impl core::error::Error for KeptError {
 /// # Ok::<(), mavseal_relay::KeptError>(())
 /// ```
 ///
-/// A mark is stored ahead of what is used by a quarter of the time since the restart, at least
-/// [`FIRST_RESERVATION`] and at most [`RESERVATION`]. So an end whose power fails again and again, and that
-/// has no clock to go by, does not run away from its peers: its time goes at most a quarter too fast, and a
-/// quarter of a second for each restart. It takes about 25 writes to come up to the full reservation, then
-/// one every 30 seconds.
+/// A mark is stored ahead of what is used by an eighth of the time since the restart, at least
+/// [`FIRST_RESERVATION`] and at most [`RESERVATION`]. So stamps of an end whose power fails again and again
+/// do not run away from its clock: each restart skips less than the time that passed since the one before.
+/// It takes about 70 writes to come up to the full reservation, then one every 30 seconds.
+///
+/// The clock begins a reservation before the mark, so that what was reserved and not used does not push it
+/// ahead; the stamps begin at the mark all the same, and go on a tick a frame until the clock has come after.
 ///
 /// The price: after a restart, frames of an honest peer are refused for at most the reservation, and by as
 /// much longer as this end's clock was ahead of the peer's.
@@ -91,9 +93,11 @@ impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
     pub fn new(flash: F, region: Region, mut timer: T) -> Result<Self, KeptError> {
         let mark = Mark::open(flash, region)?;
         let floor = Timestamp::from_ticks(mark.get()).ok_or(KeptError::Exhausted)?;
+        let earliest = mark.get().saturating_sub(RESERVATION);
+        let earliest = Timestamp::from_ticks(earliest).unwrap_or(floor);
         let started = timer();
         Ok(Self {
-            clock: Clock::unsynced(floor, started),
+            clock: Clock::unsynced(earliest, started),
             mark,
             timer,
             started,
@@ -151,7 +155,7 @@ impl<F: NorFlash, T: FnMut() -> u64> Timekeeper for Kept<F, T> {
 
     fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
         let running = (self.timer)().saturating_sub(self.started);
-        let ahead = (running / 4).clamp(FIRST_RESERVATION, RESERVATION);
+        let ahead = (running / 8).clamp(FIRST_RESERVATION, RESERVATION);
         let reserved = self.mark.reserve(stamp.ticks(), ahead);
         reserved.map_err(|_| NotStored)
     }

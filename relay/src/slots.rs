@@ -78,15 +78,18 @@ impl<F: NorFlash> KeySlots<F> {
 impl<F: NorFlash> KeyStore for KeySlots<F> {
     fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored> {
         let mut stored = self.journal.newest().ok_or(NotStored)?;
-        let Some((_, old, new)) = split(&stored) else {
+        let Some((phase, old, new)) = split(&stored) else {
             return Err(NotStored);
         };
         let none = [0; KEY_SIZE];
-        let (mut next, alone) = match change {
-            KeyChange::Begin(key, phase) => (record(phase, old, key), false),
-            KeyChange::Confirm => (record(Phase::Confirmed, old, new), false),
-            KeyChange::Retire => (record(Phase::Settled, new, &none), true),
-            KeyChange::Withdraw => (record(Phase::Settled, old, &none), true),
+        let (mut next, alone) = match (change, phase) {
+            (KeyChange::Begin(key, phase), _) => (record(phase, old, key), false),
+            // The keys settled here already, and the flash failed to erase what they were before.
+            (KeyChange::Retire | KeyChange::Withdraw, Phase::Settled) => (stored, true),
+            (KeyChange::Confirm, Phase::Settled) => return Err(NotStored),
+            (KeyChange::Confirm, _) => (record(Phase::Confirmed, old, new), false),
+            (KeyChange::Retire, _) => (record(Phase::Settled, new, &none), true),
+            (KeyChange::Withdraw, _) => (record(Phase::Settled, old, &none), true),
         };
         let result = if alone {
             self.journal.replace(&next)

@@ -223,7 +223,7 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
             Ok(()) => parse(record),
             Err(_) => Found::Garbage,
         };
-        buffer.zeroize();
+        record.zeroize();
         found
     }
 
@@ -258,11 +258,11 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         // A failed write may have left a record all the same: the next one is newer than it.
         self.next.slot += 1;
         let mut buffer = [0; MAX_RECORD_SIZE];
-        emit(&mut buffer, contents, sequence);
+        let record = buffer.get_mut(..Self::RECORD_SIZE).unwrap_or_default();
+        emit(record, contents, sequence);
         let offset = self.offset(place);
-        let record = buffer.get(..Self::RECORD_SIZE).unwrap_or_default();
         let said = self.flash.write(offset, record).is_ok();
-        buffer.zeroize();
+        record.zeroize();
         let read = match self.read(place) {
             Found::Record(mut read, number) => {
                 let same = read == *contents && number == sequence;
@@ -309,15 +309,15 @@ fn check<F: NorFlash>(flash: &F, region: Region, record_size: usize) -> Result<(
     Ok(())
 }
 
-/// Puts a record of `contents` to the front of `buffer`.
-fn emit(buffer: &mut [u8], contents: &[u8], sequence: u32) {
+/// Writes the record of `contents`.
+fn emit(record: &mut [u8], contents: &[u8], sequence: u32) {
     let sequence = sequence.to_le_bytes();
     let mut digest = CHECKSUM.digest();
     digest.update(contents);
     digest.update(&sequence);
     let checksum = digest.finalize().to_le_bytes();
     let parts = contents.iter().chain(&sequence).chain(&checksum);
-    for (slot, byte) in buffer.iter_mut().zip(parts) {
+    for (slot, byte) in record.iter_mut().zip(parts) {
         *slot = *byte;
     }
 }
