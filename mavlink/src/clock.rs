@@ -1,7 +1,7 @@
 //! The clock of one end of a link: who may set it, how far, and how long it is believed.
 
 use crate::header::MessageId;
-use crate::time::{TICKS_PER_SECOND, Timestamp, Window};
+use crate::time::{RESERVATION, TICKS_PER_SECOND, Timestamp, Window};
 use crate::verify::Verified;
 
 /// SYSTEM_TIME, message 2.
@@ -50,15 +50,16 @@ pub enum Sync {
 /// The time at one end of a link, counted on a timer from the last moment that somebody told. It goes with
 /// [`Window::LINK`].
 ///
-/// | set by | a frame in its window | a frame ahead of it | a frame behind it |
+/// | set by | a frame in its window | a frame ahead of that | a frame behind it |
 /// |---|---|---|---|
 /// | nobody: [`Sync::Unsynced`] | sets it | sets it | sets it |
-/// | a peer: [`Sync::Peer`] | slews it | sets it | refused |
+/// | a peer: [`Sync::Peer`] | slews it, or sets it forward | sets it | refused |
 /// | [`Sync::Trusted`] | slews it | refused | refused |
 ///
-/// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
-/// the frame's stamp by no more than a crystal may have gained or lost: clocks stay together, and a sender
-/// whose stamps are ahead of its clock, since it has skipped a reservation, takes nobody along.
+/// Only authentic frames that are newer than all before come so far. A frame sets the clock to a
+/// [`RESERVATION`] before its stamp, since its sender may have skipped that much: so a board without a clock
+/// is up to a reservation behind its peers, and never ahead, however often they or it restart. To slew is to
+/// move the clock towards the stamp by no more than a crystal may have gained or lost.
 ///
 /// A clock that no trusted source has set has nothing to hold against a frame from the future, and must
 /// follow it: if it did not, a frame of last week, recorded and played to it, would make it refuse all of
@@ -93,7 +94,7 @@ impl Clock {
     pub const CRYSTAL: u32 = 12;
 
     /// A clock that nobody has set, which begins with `earliest`: a time that has certainly passed, such as
-    /// the mark from before the restart less the [`RESERVATION`](crate::RESERVATION), or
+    /// the mark from before the restart less the [`RESERVATION`], or
     /// [`Timestamp::ZERO`].
     #[must_use]
     pub const fn unsynced(earliest: Timestamp, timer: u64) -> Self {
@@ -170,25 +171,29 @@ impl Clock {
         }
     }
 
-    /// The moment to hold `stamp`, of an authentic frame, against: the time, unless the clock would follow
-    /// the frame.
+    /// The moment to hold `stamp`, of an authentic frame, against: the time, unless the frame would set it.
     #[must_use]
     pub fn judged_at(&self, stamp: Timestamp, timer: u64) -> Timestamp {
-        if self.follows(stamp, timer) {
-            stamp
-        } else {
-            self.now(timer)
+        match self.sync(timer) {
+            Sync::Unsynced => stamp,
+            Sync::Peer => self.now(timer).max(least(stamp)),
+            Sync::Trusted => self.now(timer),
         }
     }
 
     /// Learns from a frame that was accepted.
     pub fn heard(&mut self, frame: &Verified<'_>, timer: u64) {
         let stamp = frame.stamp().timestamp;
-        if self.follows(stamp, timer) {
-            self.set(Sync::Peer, stamp, timer);
+        let now = self.now(timer);
+        let sets = match self.sync(timer) {
+            Sync::Unsynced => true,
+            Sync::Peer => least(stamp) > now,
+            Sync::Trusted => false,
+        };
+        if sets {
+            self.set(Sync::Peer, least(stamp), timer);
             return;
         }
-        let now = self.now(timer);
         let most = self.drifted(timer).saturating_sub(self.slewed);
         let ahead = stamp.ticks_since(now).min(most);
         let behind = now.ticks_since(stamp).min(most);
@@ -201,15 +206,6 @@ impl Clock {
         self.confirmed = timer;
     }
 
-    /// Whether a frame stamped `stamp` sets it.
-    fn follows(&self, stamp: Timestamp, timer: u64) -> bool {
-        match self.sync(timer) {
-            Sync::Unsynced => true,
-            Sync::Peer => stamp.ticks_since(self.now(timer)) > Window::LINK.ahead,
-            Sync::Trusted => false,
-        }
-    }
-
     fn set(&mut self, sync: Sync, time: Timestamp, timer: u64) {
         *self = Self::unsynced(time, timer).drifting(self.drift);
         self.sync = sync;
@@ -219,4 +215,10 @@ impl Clock {
     const fn drifted(&self, timer: u64) -> u64 {
         timer.saturating_sub(self.set) >> self.drift
     }
+}
+
+/// What time it is at least where a frame is stamped `stamp`: its sender may have skipped a reservation.
+fn least(stamp: Timestamp) -> Timestamp {
+    let ticks = stamp.ticks().saturating_sub(RESERVATION);
+    Timestamp::from_ticks(ticks).unwrap_or(stamp)
 }

@@ -41,7 +41,7 @@ pub use error::{KeyError, ParseError, SignError, VerifyError};
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
 pub use keeper::{NotStored, Timekeeper};
-pub use key::{Fingerprint, KEY_SIZE, SigningKey};
+pub use key::{Fingerprint, KEY_SIZE, SigningKey, passphrase_key};
 pub use keys::{Authenticate, KeyChange, KeyChangeError, KeyStore, Keys, Phase};
 pub use profile::{Hmac, Profile, Standard};
 pub use replay::{Admit, Replay};

@@ -6,11 +6,12 @@ use crate::field::TIMESTAMP_SIZE;
 /// Ticks of 10 microseconds in a second.
 pub const TICKS_PER_SECOND: u64 = 100_000;
 
-/// How far beyond the timestamps in use a mark is stored at most: 30 seconds, in ticks of 10 microseconds.
+/// How far beyond the timestamps in use a mark is stored at most: 10 seconds, in ticks of 10 microseconds.
 ///
-/// Half of [`Window::LINK`]'s `ahead`, so that what is stamped from the mark on, after a restart, is
+/// For so long an end may refuse honest frames after a restart; twice as long would wear the flash half as
+/// much. No more than half of [`Window::LINK`]'s `ahead`, so that what is stamped from the mark on is
 /// accepted at once.
-pub const RESERVATION: u64 = 30 * TICKS_PER_SECOND;
+pub const RESERVATION: u64 = 10 * TICKS_PER_SECOND;
 
 const _: () = assert!(RESERVATION <= Window::LINK.ahead / 2);
 
@@ -121,8 +122,8 @@ impl Window {
     /// 60 seconds (6,000,000 ticks) either way: the window of a link whose ends remember a mark.
     ///
     /// Past: the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp Handling).
-    /// Ahead: half of it for the [`RESERVATION`] that a sender skips at a restart, half for bursts, in
-    /// which stamps run ahead of the clock by a tick a frame, and for clocks that drift.
+    /// Ahead: for the [`RESERVATION`] that a sender skips at a restart, for bursts, in which stamps run ahead
+    /// of the clock by a tick a frame, and for clocks that drift.
     pub const LINK: Self = Self {
         past: 60 * TICKS_PER_SECOND,
         ahead: 60 * TICKS_PER_SECOND,

@@ -68,13 +68,14 @@ impl core::error::Error for KeptError {
 /// A mark is stored ahead of what is used by an eighth of the time since the restart, at least
 /// [`FIRST_RESERVATION`] and at most [`RESERVATION`]. So stamps of an end whose power fails again and again
 /// do not run away from its clock: each restart skips less than the time that passed since the one before.
-/// It takes about 70 writes to come up to the full reservation, then one every 30 seconds.
+/// It takes about 60 writes to come up to the full reservation, then one every 10 seconds.
 ///
 /// The clock begins a reservation before the mark, so that what was reserved and not used does not push it
 /// ahead; the stamps begin at the mark all the same, and go on a tick a frame until the clock has come after.
 ///
 /// The price: after a restart, frames of an honest peer are refused for at most the reservation, and by as
-/// much longer as this end's clock was ahead of the peer's.
+/// much longer as this end's clock was ahead of the peer's; a peer without a clock is up to a reservation
+/// behind.
 pub struct Kept<F, T> {
     clock: Clock,
     mark: Mark<F>,
