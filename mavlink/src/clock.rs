@@ -35,36 +35,34 @@ pub enum Source {
     Bounded,
 }
 
-/// Who has set a clock.
+/// Whether a clock knows the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Sync {
-    /// Nobody since the start, or too long ago: it only counts on from where it was.
+    /// No [trusted](Source::Trusted) source has told it, or too long ago: it keeps near what peers stamp.
     Unsynced,
-    /// A peer, with an authentic frame.
-    Peer,
-    /// A [trusted](Source::Trusted) source.
-    Trusted,
+    /// A trusted source has told it, no longer ago than [`Clock::holdover`].
+    Synced,
 }
 
 /// The time at one end of a link, counted on a timer from the last moment that somebody told. It goes with
 /// [`Window::LINK`].
 ///
-/// | set by | a frame in its window | a frame ahead of that | a frame behind it |
-/// |---|---|---|---|
-/// | nobody: [`Sync::Unsynced`] | sets it | sets it | sets it |
-/// | a peer: [`Sync::Peer`] | slews it, or sets it forward | sets it | refused |
-/// | [`Sync::Trusted`] | slews it | refused | refused |
+/// | clock | a frame in the window | a frame outside of it |
+/// |---|---|---|
+/// | [`Sync::Synced`] | slews it | is refused, and moves nothing |
+/// | [`Sync::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that |
 ///
-/// Only authentic frames that are newer than all before come so far. A frame sets the clock to a
-/// [`RESERVATION`] before its stamp, since its sender may have skipped that much: so a board without a clock
-/// is up to a reservation behind its peers, and never ahead, however often they or it restart. To slew is to
-/// move the clock towards the stamp by no more than a crystal may have gained or lost.
+/// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
+/// the stamp by no more than a crystal may have gained or lost since it was set. A reservation is what the
+/// sender of a frame may have skipped at a restart; an unsynced clock that took over the stamp itself
+/// would run ahead of everybody by one for each restart.
 ///
-/// A clock that no trusted source has set has nothing to hold against a frame from the future, and must
-/// follow it: if it did not, a frame of last week, recorded and played to it, would make it refuse all of
-/// today's. The price is that a peer whose clock is wrong takes it along. A board that has a clock to read,
-/// or is set on a trusted port, does not pay it.
+/// An unsynced clock has nothing to hold against a frame. If it held its own time against one, two boards
+/// that had drifted together, or a frame of last week, recorded and played to it, would make it refuse all
+/// honest frames for ever. The price: it cannot tell how long a frame has been on its way, so that order
+/// alone protects it; and a peer whose clock is wrong takes it along. A board that has a clock to read, or
+/// is set on a trusted port, does not pay it.
 ///
 /// All moments of the timer are ticks of 10 microseconds, from anywhere, and never go back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,10 +71,9 @@ pub struct Clock {
     /// The time when the timer showed `since`.
     time: Timestamp,
     since: u64,
-    sync: Sync,
-    /// When the clock was last known to be right: set, or in the window of an accepted frame.
-    confirmed: u64,
-    /// When it was last set by somebody that is believed; steps and slews are counted from here.
+    /// Whether a trusted source has told it, when the timer showed `set`.
+    told: bool,
+    /// When it was last set; steps and slews are counted from here.
     set: u64,
     /// Ticks that bounded sources have moved it since.
     stepped: u64,
@@ -86,23 +83,22 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// The most that a bounded source moves the clock at once: a second, in ticks of 10 microseconds.
+    /// The most that bounded sources move the clock until it is set again: a second, in ticks of 10
+    /// microseconds.
     pub const STEP: u64 = TICKS_PER_SECOND;
 
     /// How wrong a timer on a crystal may be, unless [said otherwise](Clock::drifting): one tick in 2^12,
     /// which is 244 parts in a million.
     pub const CRYSTAL: u32 = 12;
 
-    /// A clock that nobody has set, which begins with `earliest`: a time that has certainly passed, such as
-    /// the mark from before the restart less the [`RESERVATION`], or
-    /// [`Timestamp::ZERO`].
+    /// A clock that nobody has told the time, which begins with `earliest`: a time that has certainly
+    /// passed, such as the mark from before the restart less the [`RESERVATION`], or [`Timestamp::ZERO`].
     #[must_use]
     pub const fn unsynced(earliest: Timestamp, timer: u64) -> Self {
         Self {
             time: earliest,
             since: timer,
-            sync: Sync::Unsynced,
-            confirmed: timer,
+            told: false,
             set: timer,
             stepped: 0,
             slewed: 0,
@@ -124,22 +120,18 @@ impl Clock {
         self.time.saturating_add(timer.saturating_sub(self.since))
     }
 
-    /// Who has set it, if that was not longer ago than [`Clock::holdover`].
+    /// Whether it knows the time.
     #[must_use]
     pub const fn sync(&self, timer: u64) -> Sync {
-        if timer.saturating_sub(self.confirmed) > self.holdover() {
-            Sync::Unsynced
+        if self.told && timer.saturating_sub(self.set) <= self.holdover() {
+            Sync::Synced
         } else {
-            self.sync
+            Sync::Unsynced
         }
     }
 
-    /// How long the clock is believed without being set, and without a frame that is in time: until two
-    /// such clocks may be half of [`Window::LINK`] apart. 17 hours on a crystal.
-    ///
-    /// Without it, two ends that had heard nothing of each other for long would refuse each other for
-    /// ever. The price: whoever keeps all frames from an end for so long, and has recorded some that never
-    /// arrived, can have them accepted later. An end that asks a trusted source now and then pays nothing.
+    /// How long a trusted source is believed without being asked again: until two such clocks may be half
+    /// of [`Window::LINK`] apart. 17 hours on a crystal.
     #[must_use]
     pub const fn holdover(&self) -> u64 {
         (Window::LINK.past / 4) << self.drift
@@ -147,22 +139,22 @@ impl Clock {
 
     /// Takes `time` from `source`. Gives the ticks that the clock went forward.
     ///
-    /// A bounded source moves it by [`Clock::STEP`], and by what the timer may have lost, since it was last
-    /// set; no more, however often it is asked. A time behind the clock, or [`Timestamp::ZERO`], says
-    /// nothing, unless a trusted source tells the former.
+    /// A bounded source moves it by [`Clock::STEP`] until it is set again; no more, however often it is
+    /// asked. A time behind the clock says nothing, unless a trusted source tells it; [`Timestamp::ZERO`]
+    /// never does.
     pub fn tell(&mut self, source: Source, time: Timestamp, timer: u64) -> u64 {
+        if time == Timestamp::ZERO {
+            return 0;
+        }
         let ahead = time.ticks_since(self.now(timer));
         match source {
             Source::Trusted => {
-                if time == Timestamp::ZERO {
-                    return 0;
-                }
-                self.set(Sync::Trusted, time, timer);
+                self.set(time, timer);
+                self.told = true;
                 ahead
             }
             Source::Bounded => {
-                let most = Self::STEP.saturating_add(self.drifted(timer));
-                let step = ahead.min(most.saturating_sub(self.stepped));
+                let step = ahead.min(Self::STEP.saturating_sub(self.stepped));
                 self.time = self.now(timer).saturating_add(step);
                 self.since = timer;
                 self.stepped = self.stepped.saturating_add(step);
@@ -171,13 +163,12 @@ impl Clock {
         }
     }
 
-    /// The moment to hold `stamp`, of an authentic frame, against: the time, unless the frame would set it.
+    /// The moment to hold `stamp`, of an authentic frame, against: the time, if the clock knows it.
     #[must_use]
     pub fn judged_at(&self, stamp: Timestamp, timer: u64) -> Timestamp {
         match self.sync(timer) {
             Sync::Unsynced => stamp,
-            Sync::Peer => self.now(timer).max(least(stamp)),
-            Sync::Trusted => self.now(timer),
+            Sync::Synced => self.now(timer),
         }
     }
 
@@ -185,40 +176,33 @@ impl Clock {
     pub fn heard(&mut self, frame: &Verified<'_>, timer: u64) {
         let stamp = frame.stamp().timestamp;
         let now = self.now(timer);
-        let sets = match self.sync(timer) {
-            Sync::Unsynced => true,
-            Sync::Peer => least(stamp) > now,
-            Sync::Trusted => false,
-        };
-        if sets {
-            self.set(Sync::Peer, least(stamp), timer);
-            return;
+        match self.sync(timer) {
+            Sync::Unsynced => {
+                let latest = stamp.saturating_add(RESERVATION);
+                let time = now.clamp(earlier(stamp, RESERVATION), latest);
+                if time != now {
+                    self.set(time, timer);
+                }
+            }
+            Sync::Synced => {
+                let drifted = timer.saturating_sub(self.set) >> self.drift;
+                let most = drifted.saturating_sub(self.slewed);
+                let ahead = stamp.ticks_since(now).min(most);
+                let behind = now.ticks_since(stamp).min(most);
+                self.slewed = self.slewed.saturating_add(ahead).saturating_add(behind);
+                self.time = earlier(now, behind).saturating_add(ahead);
+                self.since = timer;
+            }
         }
-        let most = self.drifted(timer).saturating_sub(self.slewed);
-        let ahead = stamp.ticks_since(now).min(most);
-        let behind = now.ticks_since(stamp).min(most);
-        self.slewed = self.slewed.saturating_add(ahead).saturating_add(behind);
-        let earlier = now.ticks().saturating_sub(behind);
-        self.time = Timestamp::from_ticks(earlier)
-            .unwrap_or(now)
-            .saturating_add(ahead);
-        self.since = timer;
-        self.confirmed = timer;
     }
 
-    fn set(&mut self, sync: Sync, time: Timestamp, timer: u64) {
+    fn set(&mut self, time: Timestamp, timer: u64) {
         *self = Self::unsynced(time, timer).drifting(self.drift);
-        self.sync = sync;
-    }
-
-    /// Ticks by which the timer may be wrong since the clock was set.
-    const fn drifted(&self, timer: u64) -> u64 {
-        timer.saturating_sub(self.set) >> self.drift
     }
 }
 
-/// What time it is at least where a frame is stamped `stamp`: its sender may have skipped a reservation.
-fn least(stamp: Timestamp) -> Timestamp {
-    let ticks = stamp.ticks().saturating_sub(RESERVATION);
-    Timestamp::from_ticks(ticks).unwrap_or(stamp)
+/// `ticks` before `time`, at least the beginning of time.
+fn earlier(time: Timestamp, ticks: u64) -> Timestamp {
+    let ticks = time.ticks().saturating_sub(ticks);
+    Timestamp::from_ticks(ticks).unwrap_or(Timestamp::ZERO)
 }

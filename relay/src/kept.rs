@@ -85,7 +85,7 @@ pub struct Kept<F, T> {
 }
 
 impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
-    /// The end whose mark is in `region` of `flash`, with a clock that nobody has set yet. `timer` gives
+    /// The end whose mark is in `region` of `flash`, with a clock that nobody has told the time yet. `timer` gives
     /// ticks of 10 microseconds that never go back.
     ///
     /// # Errors
@@ -131,7 +131,7 @@ impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
         self.clock.tell(source, time, now)
     }
 
-    /// Who has set the clock.
+    /// Whether the clock knows the time.
     pub fn sync(&mut self) -> Sync {
         let now = (self.timer)();
         self.clock.sync(now)

@@ -27,18 +27,17 @@
 //! |---|---|
 //! | the mark is up to 10 s ahead of what is used | after a restart, frames are refused for up to 10 s |
 //! | it is stored every 10 s, at first more often | flash: see `mavseal-store`, Wear |
-//! | a board without a clock sets it 10 s behind its peers' stamps | its frames are refused for so much longer |
-//! | a board without a clock follows its peers | a peer with a wrong clock takes it along |
-//! | a clock that is not set for 17 h is forgotten | frames held back for so long are accepted then |
-//! | GNSS and SYSTEM_TIME move a clock by a second at most | a board with these alone waits for a frame |
+//! | a board without a clock keeps within 10 s of what it hears | its frames may be refused for so much longer |
+//! | it accepts whatever is newer than all before | it cannot tell how late a frame is; a peer with a wrong clock takes it along |
+//! | a trusted clock is asked at least every 17 h | otherwise the board is one without a clock |
+//! | GNSS and SYSTEM_TIME move a clock by a second at most | a board with these alone is one without a clock |
 //! | what cannot be remembered is refused | with a worn-out flash the link ends: [`Refusal::NotStored`] |
 //! | an old key stays until it is retired | whoever has it is heard until then |
 //!
 //! # Locked out
 //!
 //! * `too old` or `from the future`, and it does not end: one of the two clocks is wrong. Set it right on a
-//!   trusted port, by SETUP_SIGNING with the key in use and the right `initial_timestamp`, or restart the
-//!   board that has no clock.
+//!   trusted port, by SETUP_SIGNING with the key in use and the right `initial_timestamp`.
 //! * `replayed` after a restart: the mark is ahead. It passes, at most the reservation after the clocks are
 //!   together. If a trusted source once told a time far in the future, it does not: nothing that was signed
 //!   or accepted with this key may become fresh again. Erase mark and keys, and give both ends a new key.
