@@ -29,8 +29,7 @@ pub enum Phase {
 /// What is to be stored of a change of key, before it has any effect.
 #[derive(Clone, Copy)]
 pub enum KeyChange<'a> {
-    /// A new key beside the one in use, in phase [`Phase::Offered`] or [`Phase::Applied`]. It takes the
-    /// place of one that was not confirmed.
+    /// A new key beside the one in use, in phase [`Phase::Offered`] or [`Phase::Applied`].
     Begin(&'a [u8; KEY_SIZE], Phase),
     /// [`Phase::Confirmed`]; the keys stay.
     Confirm,
@@ -251,8 +250,10 @@ impl<P: Profile> Keys<P> {
         Ok(())
     }
 
-    /// Takes over `key`, which came from the other end, or in its place on a trusted port. A key that was
-    /// taken over before and never heard gives way to it; if it is the old key again, the change is off.
+    /// Takes over `key`, which came from the other end, or in its place on a trusted port. If it is the old
+    /// key again, and the other end was not heard with the new one, the change is off.
+    ///
+    /// A third key has to wait: the other end may already sign with the second alone.
     ///
     /// # Errors
     ///
@@ -266,14 +267,13 @@ impl<P: Profile> Keys<P> {
         if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
             return Ok(());
         }
-        // A key that was heard may be the only one that the other end accepts.
-        if self.heard || matches!(self.phase, Phase::Offered | Phase::Confirmed) {
-            return Err(KeyChangeError::UnderWay);
-        }
-        if same(&new, &self.old) {
+        if self.phase == Phase::Applied && !self.heard && same(&new, &self.old) {
             store.store(KeyChange::Withdraw)?;
             *self = Self::from(new);
             return Ok(());
+        }
+        if self.phase != Phase::Settled {
+            return Err(KeyChangeError::UnderWay);
         }
         store.store(KeyChange::Begin(key, Phase::Applied))?;
         self.begin(new, Phase::Applied);
@@ -318,8 +318,8 @@ impl<P: Profile> Keys<P> {
 
     /// Drops the key that was offered, for instance because the other end refuses it.
     ///
-    /// If the other end had taken it over all the same, this end does not hear it from then on, and must
-    /// send it another key, or the old one again: the other end still accepts the old one.
+    /// Send the old key to the other end then: if it had taken over the new one all the same, this end does
+    /// not hear it until it is back at the old one, which it still accepts. Do not offer the same key again.
     ///
     /// # Errors
     ///

@@ -178,7 +178,7 @@ impl<P: Profile, M: Memory> End<P, M> {
             ahead: u64::MAX,
         };
         Self {
-            keys: key(FIRST).into(),
+            keys: key::<P>(FIRST).into(),
             memory,
             receiver: Replay::new(3 - link_id, window),
             link_id,

@@ -29,7 +29,7 @@ pub struct Cut {
     /// Words written and pages erased before; in the next one the power fails.
     pub after: u8,
     /// What becomes of the word, or of the words of the page; by its remainder of 4: as it was, as it was
-    /// to be, unreadable, or readable until the restart after the next.
+    /// to be, unreadable, or readable in the next run and in no other.
     pub left: [u8; PAGE],
 }
 
@@ -37,7 +37,7 @@ pub struct Cut {
 enum Word {
     Erased,
     Written([u8; WORD]),
-    /// Reads well in this run and the next, and in no other.
+    /// Reads well in the run after the cut, `true` then, and in no other.
     Weak([u8; WORD], bool),
     Bad,
 }
@@ -56,8 +56,17 @@ impl Default for Small {
 }
 
 impl Small {
-    /// Power on, until `cut`.
-    pub fn restart(&mut self, cut: Cut) {
+    /// Power on, until `cut`. After a cut that left a word readable for a while, the next one leaves none:
+    /// if every record of a page were of that kind, one after the other, none could be relied on.
+    pub fn restart(&mut self, mut cut: Cut) {
+        let weak = |word: &Word| matches!(word, Word::Weak(_, false));
+        if self.words.iter().any(weak) {
+            for left in &mut cut.left {
+                if *left % 4 == 3 {
+                    *left = 2;
+                }
+            }
+        }
         for word in &mut self.words {
             *word = match *word {
                 Word::Weak(bytes, false) => Word::Weak(bytes, true),
