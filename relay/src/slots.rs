@@ -23,8 +23,9 @@ pub struct KeySlots<F> {
 }
 
 impl<F: NorFlash> KeySlots<F> {
-    /// The slots in `region` of `flash`, and the keys that they hold; `None` if no key was ever stored, or
-    /// none can be read: nothing is signed or accepted then.
+    /// The slots in `region` of `flash`, and the keys that they hold; `None` if they are
+    /// [empty](KeySlots::is_empty), or hold something that cannot be relied on: nothing is signed or accepted
+    /// then.
     ///
     /// A change that is under way is stored again before it is relied on.
     ///
@@ -67,6 +68,12 @@ impl<F: NorFlash> KeySlots<F> {
         record.zeroize();
         stored.map_err(|_| KeyChangeError::NotStored)?;
         Ok(keys)
+    }
+
+    /// Whether no record can be read. Only then may a first key be provided without somebody's asking for it:
+    /// otherwise it would take the place of one that is there.
+    pub const fn is_empty(&self) -> bool {
+        self.journal.is_empty()
     }
 
     /// The flash, for what else it holds.

@@ -246,6 +246,7 @@ fn keys_outlast_a_restart_and_retired_ones_are_erased() {
     assert_eq!(open(&mut flash), None, "nothing is signed without a key");
     {
         let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+        assert!(slots.is_empty());
         let zero = slots.provision::<Hmac>(&[0; KEY_SIZE]).err();
         assert_eq!(zero, Some(KeyChangeError::Key(KeyError::AllZero)));
         slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
@@ -256,6 +257,7 @@ fn keys_outlast_a_restart_and_retired_ones_are_erased() {
     );
     {
         let (mut slots, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+        assert!(!slots.is_empty());
         let mut keys: Keys<Hmac> = keys.expect("stored");
         keys.apply(&[2; KEY_SIZE], &mut slots).expect("stored");
     }

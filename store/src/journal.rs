@@ -125,6 +125,11 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         Ok((journal, newest))
     }
 
+    /// Whether it holds no record that can be read: nothing was ever stored, or all of it is lost.
+    pub const fn is_empty(&self) -> bool {
+        self.newest.is_none()
+    }
+
     /// The flash, for what else it holds.
     pub fn into_flash(self) -> F {
         self.flash

@@ -79,7 +79,8 @@ fn keys(flash: Flash) -> Option<(KeySlots<Flash>, Keys<peer::Profile>)> {
     let (mut slots, found) = KeySlots::open(flash, REGION).ok()?;
     let keys = match found {
         Some(keys) => keys,
-        None => slots.provision(&peer::first_key()).ok()?,
+        None if slots.is_empty() => slots.provision(&peer::first_key()).ok()?,
+        None => return None,
     };
     Some((slots, keys))
 }
