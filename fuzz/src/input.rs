@@ -9,6 +9,8 @@ use std::sync::LazyLock;
 use arbitrary::{Arbitrary, Unstructured};
 use mavlink_signing::{Header, MessageId, Stamp, Timestamp, Window, dialect};
 use mavseal_proofs::history::Step;
+use mavseal_proofs::keys::{Event, Side};
+use mavseal_proofs::mark::Cut;
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::pipes::Turn;
 use mavseal_proofs::tamper::Change;
@@ -118,6 +120,60 @@ encode_variants!(Step, 5:
     3 SenderClock { ticks }
     4 ReceiverClock { ticks }
 );
+
+impl Encode for Side {
+    fn encode(&self, bytes: &mut Vec<u8>) {
+        encode_variant(u64::from(*self == Self::Responder), 2, bytes);
+    }
+}
+
+/// Its variants in the order of its definition.
+impl Encode for Event {
+    fn encode(&self, bytes: &mut Vec<u8>) {
+        let mut variant = |number| encode_variant(number, 9, bytes);
+        match self {
+            Self::Offer => variant(0),
+            Self::Setup(back) => {
+                variant(1);
+                back.encode(bytes);
+            }
+            Self::Send(side) => {
+                variant(2);
+                side.encode(bytes);
+            }
+            Self::Hear(side, back) => {
+                variant(3);
+                side.encode(bytes);
+                back.encode(bytes);
+            }
+            Self::Confirm(side) => {
+                variant(4);
+                side.encode(bytes);
+            }
+            Self::Retire(side) => {
+                variant(5);
+                side.encode(bytes);
+            }
+            Self::Withdraw => variant(6),
+            Self::Restart(side) => {
+                variant(7);
+                side.encode(bytes);
+            }
+            Self::Fail(side, trace) => {
+                variant(8);
+                side.encode(bytes);
+                trace.encode(bytes);
+            }
+        }
+    }
+}
+
+impl Encode for Cut {
+    fn encode(&self, bytes: &mut Vec<u8>) {
+        self.after.encode(bytes);
+        self.left.encode(bytes);
+    }
+}
 
 impl Encode for Turn {
     fn encode(&self, bytes: &mut Vec<u8>) {

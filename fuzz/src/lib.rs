@@ -6,6 +6,7 @@
 
 pub mod frames;
 pub mod input;
+pub mod memory;
 pub mod ports;
 pub mod reached;
 pub mod repair;
@@ -57,6 +58,8 @@ targets! {
     standard::diff_standard: input,
     values::checksum_table: input,
     values::stamps: input,
+    memory::store_crash: input,
+    memory::key_change: input,
 }
 
 fn bytes(bytes: &[u8], target: impl Fn(&[u8])) {

@@ -1,5 +1,6 @@
 //! Where fuzzing begins: inputs named by what they are, `cargo xtask fuzz seeds`.
 
+mod memory;
 mod packets;
 mod senders;
 mod streams;
@@ -51,6 +52,7 @@ pub fn all(telemetry: &[Vec<u8>]) -> Vec<Seed> {
     seeds.unsigned(telemetry);
     seeds.values();
     seeds.foreign();
+    seeds.memory();
     seeds.0
 }
 

@@ -4,6 +4,7 @@ use core::fmt;
 
 use crate::field::{MAX_PAYLOAD_SIZE, TIMESTAMP_SIZE};
 use crate::header::MessageId;
+use crate::keeper::NotStored;
 use crate::key::KEY_SIZE;
 
 /// Why bytes are not a key. The caller is at fault.
@@ -32,6 +33,14 @@ pub enum SignError {
     AlreadySigned,
     /// All 48-bit timestamps of the link have been used; only a new key helps.
     ClockExhausted,
+    /// A mark above the frame's timestamp cannot be stored. This end's memory is at fault.
+    NotStored,
+}
+
+impl From<NotStored> for SignError {
+    fn from(_: NotStored) -> Self {
+        Self::NotStored
+    }
 }
 
 /// Why bytes are not a MAVLink 2 frame. A damaged link, or a sender that speaks something else.
@@ -74,6 +83,14 @@ pub enum VerifyError {
     StreamsFull,
     /// Signed, where only frames without signature are asked about. The caller is at fault.
     Signed,
+    /// Would be accepted, but no mark above its timestamp can be stored. This end's memory is at fault.
+    NotStored,
+}
+
+impl From<NotStored> for VerifyError {
+    fn from(_: NotStored) -> Self {
+        Self::NotStored
+    }
 }
 
 /// Why a payload does not carry a key. Its sender is at fault.
@@ -117,6 +134,7 @@ impl fmt::Display for SignError {
             Self::ClockExhausted => {
                 write!(f, "all timestamps of {TIMESTAMP_SIZE} bytes are used up")
             }
+            Self::NotStored => f.write_str("no mark above the timestamp can be stored"),
         }
     }
 }
@@ -168,6 +186,7 @@ impl fmt::Display for VerifyError {
             Self::Replayed => f.write_str("not newer than the last accepted frame"),
             Self::StreamsFull => f.write_str("a new stream, and the table of streams is full"),
             Self::Signed => f.write_str("the frame is signed"),
+            Self::NotStored => f.write_str("no mark above the timestamp can be stored"),
         }
     }
 }

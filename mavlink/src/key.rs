@@ -51,9 +51,9 @@ impl<P: Profile> SigningKey<P> {
     ///
     /// [`KeyError::AllZero`], which no pass-phrase is known to give.
     pub fn from_passphrase(passphrase: &str) -> Result<Self, KeyError> {
-        let mut digest = Sha256::digest(passphrase);
-        let key = Self::new(&digest);
-        digest.as_mut_slice().zeroize();
+        let mut bytes = passphrase_key(passphrase);
+        let key = Self::new(&bytes);
+        bytes.zeroize();
         key
     }
 
@@ -72,6 +72,12 @@ impl<P: Profile> SigningKey<P> {
     pub(crate) fn tag(&self, covered: &[u8]) -> Tag {
         self.profile.tag(covered)
     }
+}
+
+/// The 32 bytes of [`SigningKey::from_passphrase`], to be stored. The caller wipes them.
+#[must_use]
+pub fn passphrase_key(passphrase: &str) -> [u8; KEY_SIZE] {
+    Sha256::digest(passphrase).into()
 }
 
 /// What [`SigningKey::fingerprint`] shows: 4 bytes, as `1a2b-3c4d`.

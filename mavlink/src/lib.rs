@@ -15,6 +15,7 @@
 #[cfg(kani)]
 extern crate kani;
 
+mod clock;
 pub mod crc;
 mod decoder;
 pub mod dialect;
@@ -22,7 +23,9 @@ mod error;
 pub mod field;
 mod frame;
 mod header;
+mod keeper;
 mod key;
+mod keys;
 mod profile;
 mod replay;
 mod setup;
@@ -32,17 +35,20 @@ mod time;
 mod unsigned;
 mod verify;
 
+pub use clock::{Clock, SYSTEM_TIME, Source, Sync, system_time};
 pub use decoder::{DecodeError, Decoder, Mavlink1, Packet, Resync};
 pub use error::{KeyError, ParseError, SetupError, SignError, VerifyError};
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
-pub use key::{Fingerprint, KEY_SIZE, SigningKey};
+pub use keeper::{NotStored, Timekeeper};
+pub use key::{Fingerprint, KEY_SIZE, SigningKey, passphrase_key};
+pub use keys::{Authenticate, KeyChange, KeyChangeError, KeyStore, Keys, Phase};
 pub use profile::{Hmac, Profile, Standard};
 pub use replay::{Admit, Replay};
 pub use setup::{SETUP_SIGNING, SetupSigning, redact_for_log, without_trailing_zeros};
 pub use sign::sign_frame;
 pub use streams::{Links, Stream, Streams};
-pub use time::{Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
+pub use time::{RESERVATION, Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
 pub use unsigned::{
     Claim, RadioStatus, Refuse, TrustedPort, Unsigned, UnsignedPolicy, accept_unsigned,
 };

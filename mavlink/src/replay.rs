@@ -19,6 +19,13 @@ pub trait Admit {
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError>;
 
+    /// The verdict that [`Admit::admit`] would give; nothing changes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Admit::admit`].
+    fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError>;
+
     /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back.
     fn sent(&mut self, frame: FrameRef<'_>);
 
@@ -34,6 +41,10 @@ impl Admit for Replay {
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError> {
         Self::admit(self, frame, now)
+    }
+
+    fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
+        Self::check(self, frame, now)
     }
 
     fn sent(&mut self, _frame: FrameRef<'_>) {}
@@ -118,6 +129,17 @@ impl Replay {
         frame: Authentic<'a>,
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError> {
+        self.check(&frame, now)?;
+        self.0.fresh = Fresh::after(frame.stamp().timestamp);
+        Ok(Verified::new(frame))
+    }
+
+    /// The verdict that [`Replay::admit`] would give; nothing changes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Replay::admit`].
+    pub fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
         let stamp = frame.stamp();
         if stamp.link_id != self.0.link_id {
             return Err(VerifyError::WrongLink(stamp.link_id));
@@ -126,7 +148,6 @@ impl Replay {
         if !self.0.fresh.contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }
-        self.0.fresh = Fresh::after(stamp.timestamp);
-        Ok(Verified::new(frame))
+        Ok(())
     }
 }

@@ -84,6 +84,10 @@ impl<const N: usize> Admit for Streams<N> {
         Self::admit(self, frame, now)
     }
 
+    fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
+        Self::check(self, frame, now)
+    }
+
     fn sent(&mut self, frame: FrameRef<'_>) {
         Self::sent(self, frame);
     }
@@ -143,20 +147,11 @@ impl<const N: usize> Streams<N> {
         frame: Authentic<'a>,
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError> {
+        self.check(&frame, now)?;
         let stamp = frame.stamp();
-        if !self.links.take(stamp.link_id) {
-            return Err(VerifyError::WrongLink(stamp.link_id));
-        }
-        self.window.check(stamp.timestamp, now)?;
         let stream = Stream::of(frame.header(), stamp);
-        let first = self.first;
-        let row = self.row_mut(stream);
-        let fresh = row.as_ref().map_or(first, |row| row.fresh.max(first));
-        if !fresh.contains(stamp.timestamp) {
-            return Err(VerifyError::Replayed);
-        }
         let fresh = Fresh::after(stamp.timestamp);
-        match row {
+        match self.row_mut(stream) {
             Some(row) => row.fresh = fresh,
             None => {
                 let pushed = self.rows.push(Row { stream, fresh });
@@ -164,6 +159,29 @@ impl<const N: usize> Streams<N> {
             }
         }
         Ok(Verified::new(frame))
+    }
+
+    /// The verdict that [`Streams::admit`] would give; nothing changes.
+    ///
+    /// # Errors
+    ///
+    /// As [`Streams::admit`].
+    pub fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
+        let stamp = frame.stamp();
+        if !self.links.take(stamp.link_id) {
+            return Err(VerifyError::WrongLink(stamp.link_id));
+        }
+        self.window.check(stamp.timestamp, now)?;
+        let stream = Stream::of(frame.header(), stamp);
+        let row = self.rows.iter().find(|row| row.stream == stream);
+        let fresh = row.map_or(self.first, |row| row.fresh.max(self.first));
+        if !fresh.contains(stamp.timestamp) {
+            return Err(VerifyError::Replayed);
+        }
+        if row.is_none() && self.rows.is_full() {
+            return Err(VerifyError::StreamsFull);
+        }
+        Ok(())
     }
 
     /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back:

@@ -6,6 +6,15 @@ use crate::field::TIMESTAMP_SIZE;
 /// Ticks of 10 microseconds in a second.
 pub const TICKS_PER_SECOND: u64 = 100_000;
 
+/// How far beyond the timestamps in use a mark is stored at most: 10 seconds, in ticks of 10 microseconds.
+///
+/// For so long an end may refuse honest frames after a restart; twice as long would wear the flash half as
+/// much. No more than half of [`Window::LINK`]'s `ahead`, so that what is stamped from the mark on is
+/// accepted at once.
+pub const RESERVATION: u64 = 10 * TICKS_PER_SECOND;
+
+const _: () = assert!(RESERVATION <= Window::LINK.ahead / 2);
+
 /// Microseconds in a tick.
 const MICROS_PER_TICK: u64 = 10;
 /// 2015-01-01T00:00:00Z in seconds since 1970, the zero of signing time.
@@ -110,6 +119,16 @@ impl Window {
         ahead: 0,
     };
 
+    /// 60 seconds (6,000,000 ticks) either way: the window of a link whose ends remember a mark.
+    ///
+    /// Past: the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp Handling).
+    /// Ahead: for the [`RESERVATION`] that a sender skips at a restart, for bursts, in which stamps run ahead
+    /// of the clock by a tick a frame, and for clocks that drift.
+    pub const LINK: Self = Self {
+        past: 60 * TICKS_PER_SECOND,
+        ahead: 60 * TICKS_PER_SECOND,
+    };
+
     /// Whether `stamp` lies in the window around `now`.
     ///
     /// # Errors
@@ -178,9 +197,19 @@ impl Stamper {
     ///
     /// [`SignError::ClockExhausted`] once 2^48 - 1 has been given: it never wraps.
     pub fn stamp(&mut self, now: Timestamp) -> Result<Stamp, SignError> {
+        let stamp = self.next(now)?;
+        self.fresh = Fresh::after(stamp.timestamp);
+        Ok(stamp)
+    }
+
+    /// What [`Stamper::stamp`] would give; it is not used up.
+    ///
+    /// # Errors
+    ///
+    /// As [`Stamper::stamp`].
+    pub fn next(&self, now: Timestamp) -> Result<Stamp, SignError> {
         let first = self.fresh.first().ok_or(SignError::ClockExhausted)?;
         let timestamp = first.max(now);
-        self.fresh = Fresh::after(timestamp);
         Ok(Stamp {
             link_id: self.link_id,
             timestamp,

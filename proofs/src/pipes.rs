@@ -132,11 +132,11 @@ pub fn pipes<P: Profile>(
     let key = keys();
     let mut signer = Signer::new(Stamper::new(LINK_OUT));
     let signed = in_sequence(Resync::AnnouncedEnd, plain, |packet| {
-        signer.sign(packet, &key, now)
+        signer.sign(packet, &key, &mut { now })
     });
     let mut verifier = Verifier::new(replay(), forward);
     let verified = in_sequence(Resync::NextByte, secure, |packet| {
-        match verifier.verify(packet, &key, now)? {
+        match verifier.verify(packet, &mut &key, &mut { now })? {
             Handed::Verified(frame) => Ok(frame),
             Handed::Unsigned(_) => panic!("handed on without a policy"),
         }

@@ -30,7 +30,8 @@ pub fn only_verified_leaves<P: Profile>(
     now: Timestamp,
     index: usize,
 ) -> Result<(), Refusal> {
-    let handed_on = Verifier::new(receiver.replay(), forward).verify(packet, key, now);
+    let handed_on =
+        Verifier::new(receiver.replay(), forward).verify(packet, &mut &*key, &mut { now });
     let Packet::Mavlink2(received) = packet else {
         assert_eq!(handed_on, Err(Refusal::Mavlink1));
         return Err(Refusal::Mavlink1);
@@ -100,7 +101,7 @@ pub fn only_unsigned_is_signed<P: Profile>(
     index: usize,
 ) -> Result<(), Refusal> {
     let link_id = stamper.link_id();
-    let frame = Signer::new(stamper).sign(packet, key, now)?;
+    let frame = Signer::new(stamper).sign(packet, key, &mut { now })?;
     let Packet::Mavlink2(received) = packet else {
         panic!("a MAVLink 1 packet was signed");
     };
@@ -289,7 +290,7 @@ mod harness {
         let (key, now) = (any_key(), any_timestamp());
         if mavlink1 || signed {
             let mut signer = Signer::new(Stamper::resume(kani::any(), any_timestamp()));
-            let refusal = signer.sign(packet, &key, now).err();
+            let refusal = signer.sign(packet, &key, &mut { now }).err();
             let expected = if mavlink1 {
                 Refusal::Mavlink1
             } else {
@@ -304,7 +305,7 @@ mod harness {
         }
         if mavlink1 || !signed {
             let refusal = Verifier::new(Resumed::any().replay(), Forward::Whole)
-                .verify(packet, &key, now)
+                .verify(packet, &mut &key, &mut { now })
                 .err();
             let expected = match packet {
                 Packet::Mavlink1(_) => Refusal::Mavlink1,

@@ -34,6 +34,7 @@ pub fn step<P: Profile, const N: usize>(
 
     let before = rows(streams);
     let expected = specified(streams, &before, first, header, stamp, now);
+    assert_eq!(streams.check(&authentic, now), expected);
     let verdict = streams.admit(authentic, now).map(drop);
     assert_eq!(verdict, expected);
 

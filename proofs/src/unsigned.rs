@@ -98,7 +98,7 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
         true
     };
     let mut verifier = Verifier::new(receiver.replay(), Forward::Whole).accepting(1, policy);
-    let handed_on = verifier.verify(Packet::Mavlink2(received), key, now);
+    let handed_on = verifier.verify(Packet::Mavlink2(received), &mut &*key, &mut { now });
     let id = received.header().message_id;
     let unsigned = match crc_extra(id) {
         _ if received.is_signed() => None,

@@ -4,8 +4,9 @@
 //! signs. They need no port, so that a shell with input and output of its own can use them alone.
 
 use mavlink_signing::{
-    Admit, Frame, FrameRef, Packet, Profile, Refuse, Replay, Resync, SETUP_SIGNING, SigningKey,
-    Stamper, Timestamp, UnsignedPolicy, accept_unsigned, authenticate, sign_frame,
+    Admit, Authenticate, Frame, FrameRef, Keys, Packet, Profile, Refuse, Replay, Resync,
+    SETUP_SIGNING, SetupSigning, SigningKey, Stamper, Timekeeper, TrustedPort, UnsignedPolicy,
+    accept_unsigned, sign_frame,
 };
 
 use crate::event::{Direction, Event, Refusal};
@@ -14,13 +15,59 @@ use crate::event::{Direction, Event, Refusal};
 #[derive(Debug)]
 pub struct Signer {
     stamper: Stamper,
+    setup: Option<Setup>,
+}
+
+/// Whose SETUP_SIGNING is kept, and the last that came.
+#[derive(Debug)]
+struct Setup {
+    system_id: u8,
+    component_id: u8,
+    came: Option<SetupSigning>,
 }
 
 impl Signer {
     /// Signs with the stamps of `stamper`.
     #[must_use]
     pub const fn new(stamper: Stamper) -> Self {
-        Self { stamper }
+        Self {
+            stamper,
+            setup: None,
+        }
+    }
+
+    pub(crate) fn keep_setup(&mut self, system_id: u8, component_id: u8) {
+        self.setup = Some(Setup {
+            system_id,
+            component_id,
+            came: None,
+        });
+    }
+
+    pub(crate) fn take_setup(&mut self) -> Option<SetupSigning> {
+        self.setup.as_mut()?.came.take()
+    }
+
+    /// Keeps what `packet` says if it is a SETUP_SIGNING for this end. It came in on the plain side, a
+    /// cable, where nobody has a signature.
+    fn look_for_setup(&mut self, packet: Packet<'_>) {
+        let (Some(setup), Packet::Mavlink2(frame)) = (&mut self.setup, packet) else {
+            return;
+        };
+        if frame.header().message_id != SETUP_SIGNING {
+            return;
+        }
+        let link_id = self.stamper.link_id();
+        let Ok(accepted) = accept_unsigned(frame, link_id, &TrustedPort { link_id }) else {
+            return;
+        };
+        let came = SetupSigning::from_payload(accepted.payload());
+        let ours = |came: &SetupSigning| {
+            came.target_system == setup.system_id && came.target_component == setup.component_id
+        };
+        if let Some(came) = came.ok().filter(ours) {
+            setup.came = Some(came);
+        }
     }
 
     /// The signed frame to send for `packet`.
@@ -32,14 +79,15 @@ impl Signer {
         &mut self,
         packet: Packet<'_>,
         key: &SigningKey<P>,
-        now: Timestamp,
+        time: &mut impl Timekeeper,
     ) -> Result<Frame, Refusal> {
+        self.look_for_setup(packet);
         let frame = passable(packet)?;
         if frame.is_signed() {
             return Err(Refusal::AlreadySigned);
         }
         let mut frame = Frame::try_from(frame)?;
-        sign_frame(&mut frame, key, self.stamper.stamp(now)?)?;
+        sign_frame(&mut frame, key, time.stamp(&mut self.stamper)?)?;
         Ok(frame)
     }
 }
@@ -109,18 +157,19 @@ impl<R: Admit, U: UnsignedPolicy> Verifier<R, U> {
     /// # Errors
     ///
     /// [`Refusal`]; nothing has changed then.
-    pub fn verify<P: Profile>(
+    pub fn verify(
         &mut self,
         packet: Packet<'_>,
-        key: &SigningKey<P>,
-        now: Timestamp,
+        keys: &mut impl Authenticate,
+        time: &mut impl Timekeeper,
     ) -> Result<Handed, Refusal> {
         let frame = passable(packet)?;
         if !frame.is_signed() {
             let accepted = accept_unsigned(frame, self.link_id, &self.unsigned)?;
             return Ok(Handed::Unsigned(accepted.to_frame()));
         }
-        let verified = self.receiver.admit(authenticate(frame, key)?, now)?;
+        let verified = time.admit(&mut self.receiver, keys.authenticate(frame)?)?;
+        keys.heard(&verified);
         Ok(Handed::Verified(match self.forward {
             Forward::Stripped => verified.to_unsigned(),
             Forward::Whole => verified.to_frame(),
@@ -151,8 +200,8 @@ pub(crate) trait Treat {
     fn treat<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        key: &SigningKey<P>,
-        now: Timestamp,
+        keys: &mut Keys<P>,
+        time: &mut impl Timekeeper,
     ) -> Result<(Frame, Event), Refusal>;
 }
 
@@ -163,10 +212,10 @@ impl Treat for Signer {
     fn treat<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        key: &SigningKey<P>,
-        now: Timestamp,
+        keys: &mut Keys<P>,
+        time: &mut impl Timekeeper,
     ) -> Result<(Frame, Event), Refusal> {
-        let frame = self.sign(packet, key, now)?;
+        let frame = self.sign(packet, keys.signing(), time)?;
         Ok((frame, Event::Passed(Self::DIRECTION)))
     }
 }
@@ -178,10 +227,10 @@ impl<R: Admit, U: UnsignedPolicy> Treat for Verifier<R, U> {
     fn treat<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        key: &SigningKey<P>,
-        now: Timestamp,
+        keys: &mut Keys<P>,
+        time: &mut impl Timekeeper,
     ) -> Result<(Frame, Event), Refusal> {
-        Ok(match self.verify(packet, key, now)? {
+        Ok(match self.verify(packet, keys, time)? {
             Handed::Verified(frame) => (frame, Event::Passed(Self::DIRECTION)),
             Handed::Unsigned(frame) => (frame, Event::Unsigned),
         })

@@ -49,13 +49,15 @@ pub enum Refusal {
     Replayed,
     /// Authentic, but of a new stream, for which the receiver has no row left.
     StreamsFull,
+    /// To be signed, or authentic and in order, but no mark above its stamp can be stored.
+    NotStored,
     /// An error that this version of the relay does not know.
     Other,
 }
 
 impl Refusal {
     /// Every reason, in the order of [`Refusal`]'s definition.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Mavlink1,
         Self::SetupSigning,
         Self::UnknownIncompatFlags,
@@ -70,6 +72,7 @@ impl Refusal {
         Self::TooOld,
         Self::Replayed,
         Self::StreamsFull,
+        Self::NotStored,
         Self::Other,
     ];
 
@@ -91,6 +94,7 @@ impl Refusal {
             Self::TooOld => "too old",
             Self::Replayed => "replayed",
             Self::StreamsFull => "streams full",
+            Self::NotStored => "not stored",
             Self::Other => "other",
         }
     }
@@ -132,6 +136,7 @@ impl From<SignError> for Refusal {
             SignError::BadChecksum => Self::BadChecksum,
             SignError::AlreadySigned => Self::AlreadySigned,
             SignError::ClockExhausted => Self::ClockExhausted,
+            SignError::NotStored => Self::NotStored,
             _ => Self::Other,
         }
     }
@@ -150,6 +155,7 @@ impl From<VerifyError> for Refusal {
             VerifyError::TooOld => Self::TooOld,
             VerifyError::Replayed => Self::Replayed,
             VerifyError::StreamsFull => Self::StreamsFull,
+            VerifyError::NotStored => Self::NotStored,
             VerifyError::Signed => Self::AlreadySigned,
             _ => Self::Other,
         }

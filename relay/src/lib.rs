@@ -15,7 +15,35 @@
 //!   [policy](Relay::accepting) accepts, if there is one. Everything else is refused and counted by reason. The relay signs nothing that came in on the secure side; where the
 //!   plain side may send back what it receives, hand frames on [whole](Forward::Whole), so that they
 //!   are refused as already signed.
-//! * SETUP_SIGNING, which carries a key, passes in neither direction.
+//! * SETUP_SIGNING, which carries a key, passes in neither direction. What comes for the relay itself on the
+//!   plain side, a cable, it [takes](Relay::take_setup) if it is told to: [`Relay::taking_setup`].
+//!
+//! # Over a restart
+//!
+//! With a [`Kept`] as its clock, no stamp is used again and no frame accepted again after the power failed,
+//! wherever it did. [`KeySlots`] keep the key, and both keys while it is changed. What each choice costs:
+//!
+//! | choice | price |
+//! |---|---|
+//! | the mark is up to 10 s ahead of what is used | after a restart, frames are refused for up to 10 s |
+//! | it is stored every 10 s, at first more often | flash: see `mavseal-store`, Wear |
+//! | a board without a clock keeps within 10 s of what it hears | its frames may be refused for so much longer |
+//! | it accepts whatever is newer than all before | it cannot tell how late a frame is; a peer with a wrong clock takes it along |
+//! | a trusted clock is asked at least every 17 h | otherwise the board is one without a clock |
+//! | GNSS and SYSTEM_TIME move a clock by a second at most | a board with these alone is one without a clock |
+//! | what cannot be remembered is refused | with a worn-out flash the link ends: [`Refusal::NotStored`] |
+//! | an old key stays until it is retired | whoever has it is heard until then |
+//!
+//! # Locked out
+//!
+//! * `too old` or `from the future`, and it does not end: one of the two clocks is wrong. Set it right on a
+//!   trusted port, by SETUP_SIGNING with the key in use and the right `initial_timestamp`.
+//! * `replayed` after a restart: the mark is ahead. It passes, at most the reservation after the clocks are
+//!   together. If a trusted source once told a time far in the future, it does not: nothing that was signed
+//!   or accepted with this key may become fresh again. Erase mark and keys, and give both ends a new key.
+//! * `bad tag`: another key. SETUP_SIGNING on the plain side with a key that the other end has; the key in
+//!   use before is accepted as well until it is retired.
+//! * `not stored`: replace the board, or its flash.
 //!
 //! The relay knows no UART, no clock and no heap. Its ports are [`embedded_io`] ports that say
 //! whether they are ready, its time comes from a [`Clock`], and [`Relay::poll`] never waits. Each
@@ -41,38 +69,31 @@ extern crate kani;
 
 mod direction;
 mod event;
+mod kept;
 mod pump;
+mod slots;
 
 pub use direction::{Forward, Handed, Signer, Verifier};
 pub use event::{Counters, Direction, Event, Offender, Refusal};
+pub use kept::{FIRST_RESERVATION, Kept, KeptError};
+/// Where the relay takes the time from, and where it keeps its mark.
+///
+/// Without [`Kept`], it must be shared with the peer as closely as the [`Replay`]'s window asks for.
+pub use mavlink_signing::Timekeeper as Clock;
 pub use pump::PortError;
+pub use slots::{KEYS_SIZE, KeySlots};
 
 use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Admit, Profile, Refuse, Replay, SigningKey, Stamper, TICKS_PER_SECOND, Timestamp,
-    UnsignedPolicy,
+    Admit, Keys, Profile, Refuse, Replay, SetupSigning, Stamper, TICKS_PER_SECOND, UnsignedPolicy,
 };
 use pump::Pump;
 
 /// Silence on a line after which a packet that has begun is given up, unless
 /// [said otherwise](Relay::idle): 100 milliseconds, in ticks of 10 microseconds.
 pub const IDLE: u64 = TICKS_PER_SECOND / 10;
-
-/// Where the relay takes the time from.
-///
-/// It must be shared with the peer as closely as the [`Replay`]'s window asks for.
-pub trait Clock {
-    /// The time now.
-    fn now(&mut self) -> Timestamp;
-}
-
-impl<F: FnMut() -> Timestamp> Clock for F {
-    fn now(&mut self) -> Timestamp {
-        self()
-    }
-}
 
 /// A port that can be polled.
 pub trait Port: Read + ReadReady + Write + WriteReady {}
@@ -128,7 +149,7 @@ pub struct Relay<P, R = Replay, U = Refuse> {
 
 /// What both directions share.
 struct Link<P> {
-    key: SigningKey<P>,
+    keys: Keys<P>,
     idle: u64,
     link_id: u8,
 }
@@ -143,14 +164,14 @@ impl<P, R, U> fmt::Debug for Relay<P, R, U> {
 }
 
 impl<P: Profile, R: Admit> Relay<P, R> {
-    /// A relay that signs with `key` and the stamps of `stamper`, verifies with `key` and
-    /// `receiver`, and hands verified frames on as `forward` says.
+    /// A relay that signs with `keys`, one key or the two of a change, and the stamps of `stamper`,
+    /// verifies with `keys` and `receiver`, and hands verified frames on as `forward` says.
     ///
     /// # Errors
     ///
     /// [`SameLinkId`] if `receiver` would take frames that were signed here for frames of the peer.
     pub fn new(
-        key: SigningKey<P>,
+        keys: impl Into<Keys<P>>,
         stamper: Stamper,
         receiver: R,
         forward: Forward,
@@ -161,7 +182,7 @@ impl<P: Profile, R: Admit> Relay<P, R> {
         }
         Ok(Self {
             link: Link {
-                key,
+                keys: keys.into(),
                 idle: IDLE,
                 link_id,
             },
@@ -195,6 +216,26 @@ impl<P: Profile, R: Admit, U: UnsignedPolicy> Relay<P, R, U> {
     pub const fn idle(mut self, ticks: u64) -> Self {
         self.link.idle = ticks;
         self
+    }
+
+    /// The same relay, which keeps the last SETUP_SIGNING for this system and component that comes in on the
+    /// plain side, for [`Relay::take_setup`]. The plain side must be one that nobody else can reach.
+    #[must_use]
+    pub fn taking_setup(mut self, system_id: u8, component_id: u8) -> Self {
+        let signer = self.plain_to_secure.treat_mut();
+        signer.keep_setup(system_id, component_id);
+        self
+    }
+
+    /// The SETUP_SIGNING that came since it was last asked for. Nothing has been done about it:
+    /// [`Keys::apply`] takes over its key, and [`Kept::tell`] its timestamp.
+    pub fn take_setup(&mut self) -> Option<SetupSigning> {
+        self.plain_to_secure.treat_mut().take_setup()
+    }
+
+    /// The keys of both directions, to be changed.
+    pub const fn keys(&mut self) -> &mut Keys<P> {
+        &mut self.link.keys
     }
 
     /// Takes one turn in each direction without waiting: sends what is left of the last frame; when

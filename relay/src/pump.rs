@@ -3,11 +3,11 @@
 use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Decoder, Frame, FrameRef, Profile, SigningKey, Timestamp, dialect};
+use mavlink_signing::{Decoder, Frame, FrameRef, Keys, Profile, Timekeeper, Timestamp, dialect};
 
+use crate::Link;
 use crate::direction::Treat;
 use crate::event::{Counters, Event, Offender};
-use crate::{Clock, Link};
 
 /// Bytes read at most in one poll.
 const READ_SIZE: usize = 64;
@@ -106,8 +106,8 @@ impl<T: Treat> Pump<T> {
         &mut self,
         input: &mut Input,
         output: &mut Output,
-        link: &Link<P>,
-        clock: &mut impl Clock,
+        link: &mut Link<P>,
+        clock: &mut impl Timekeeper,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
         let now = clock.now();
@@ -120,7 +120,7 @@ impl<T: Treat> Pump<T> {
         if self.sending.is_some() {
             return Ok(sent);
         }
-        if self.treat_next(&link.key, now, observe) {
+        if self.treat_next(&mut link.keys, clock, observe) {
             return Ok(true);
         }
         let received = self.receive(input, link.idle, now)?;
@@ -157,14 +157,14 @@ impl<T: Treat> Pump<T> {
     /// Looks at the next packet that has arrived; whether there was one.
     fn treat_next<P: Profile>(
         &mut self,
-        key: &SigningKey<P>,
-        now: Timestamp,
+        keys: &mut Keys<P>,
+        clock: &mut impl Timekeeper,
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let decoded = self.decoder.read();
         let treated = decoded.map(|decoded| match decoded {
             Ok(packet) => {
-                let treated = self.treat.treat(packet, key, now);
+                let treated = self.treat.treat(packet, keys, clock);
                 treated.map_err(|refusal| (refusal, Some(Offender::new(&packet, refusal))))
             }
             Err(error) => Err((error.into(), None)),

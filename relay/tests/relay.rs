@@ -577,11 +577,11 @@ fn what_the_cores_table_does_not_know_is_refused() {
             bytes[11..13].copy_from_slice(&repaired);
         }
         let mut signer = Signer::new(Stamper::new(LINK_OUT));
-        let refused = signer.sign(packet(&plain), &key(), at(NOW));
+        let refused = signer.sign(packet(&plain), &key(), &mut at(NOW));
         assert_eq!(refused, Err(reason));
         let replay = Replay::new(LINK_IN, Window::SEED);
         let mut verifier = Verifier::new(replay, Forward::Stripped);
-        let refused = verifier.verify(packet(&secure), &key(), at(NOW));
+        let refused = verifier.verify(packet(&secure), &mut &key(), &mut at(NOW));
         assert_eq!(refused, Err(reason));
     }
 }
@@ -623,6 +623,7 @@ fn what_is_wrong_is_said() {
             "too old",
             "replayed",
             "streams full",
+            "not stored",
             "other",
         ]
     );

@@ -246,9 +246,9 @@ impl Demo {
         let ticks = forge(&|frame| flip(frame, 12));
         let other_key = acts.plain(|frame| wire::sign(frame, &[0x5A; 32], LINK_IN, ticks_now()));
         let other_link = acts.plain(|frame| wire::sign(frame, &key, 3, ticks_now()));
-        let future = ticks_now() + 60 * TICKS_PER_SECOND;
+        let future = ticks_now() + 120 * TICKS_PER_SECOND;
         let future = acts.plain(|frame| wire::sign(frame, &key, LINK_IN, future));
-        let old = ticks_now() - 11 * TICKS_PER_SECOND;
+        let old = ticks_now() - 61 * TICKS_PER_SECOND;
         let old = acts.plain(|frame| wire::sign(frame, &key, LINK_IN, old));
         let replayed = authentic.iter().take(EACH).cloned().collect();
         let reflected = reflected.iter().take(EACH).cloned().collect();
@@ -266,8 +266,8 @@ impl Demo {
         acts.add("link id changed", Some("bad tag"), link);
         acts.add("timestamp changed", Some("bad tag"), ticks);
         acts.add("another key", Some("bad tag"), other_key);
-        acts.add("stamped a minute ahead", Some("from the future"), future);
-        acts.add("stamped 11 seconds ago", Some("too old"), old);
+        acts.add("stamped two minutes ahead", Some("from the future"), future);
+        acts.add("stamped 61 seconds ago", Some("too old"), old);
         acts.add("unsigned", Some("not signed"), acts.plain(<[u8]>::to_vec));
         acts.add("damaged", Some("bad checksum"), acts.damaged());
         acts.add("MAVLink 1", Some("MAVLink 1"), mavlink1());

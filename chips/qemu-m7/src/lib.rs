@@ -1,4 +1,4 @@
-//! The MPS2-AN500 board as QEMU emulates it: two UARTs, a timer, semihosting.
+//! The MPS2-AN500 board as QEMU emulates it: two UARTs, a timer, semihosting, and a flash made of RAM.
 //!
 //! Everything about security is in `mavlink-signing` and `mavseal-relay`; here is only what another
 //! board has in another way.
@@ -8,6 +8,7 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 
 mod clock;
+mod flash;
 mod panic;
 mod uart;
 mod vectors;
@@ -18,6 +19,7 @@ use cortex_m as _;
 use defmt_semihosting as _;
 
 pub use clock::{Timer, WallClock};
+pub use flash::{Flash, PAGE_SIZE};
 pub use mavseal_demo::{DEMO_KEY, DEMO_PASSPHRASE, info, warn};
 pub use semihosting::process::exit;
 pub use uart::{Overrun, Uart};
@@ -28,6 +30,8 @@ pub struct Board {
     pub uarts: [Uart; 2],
     /// The timer that the wall clock runs on.
     pub timer: Timer,
+    /// A flash for the mark, and one for keys.
+    pub flashes: [Flash; 2],
 }
 
 impl Board {
@@ -39,11 +43,13 @@ impl Board {
             return None;
         }
         // SAFETY: the addresses are those of UART 0, UART 1 and TIMER 0 in the board's memory map
-        // (Arm DAI 0400), CMSDK APB peripherals all; nobody else has them, now or later.
+        // (Arm DAI 0400), CMSDK APB peripherals all; nobody else has them, now or later. The flashes are
+        // made here alone.
         unsafe {
             Some(Self {
                 uarts: [Uart::new(0x4000_4000), Uart::new(0x4000_5000)],
                 timer: Timer::new(0x4000_0000),
+                flashes: Flash::new(),
             })
         }
     }

@@ -6,4 +6,5 @@ mod dialect;
 mod frames;
 mod seed;
 mod standard;
+mod time;
 mod vectors;

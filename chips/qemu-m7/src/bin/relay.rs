@@ -4,19 +4,31 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use mavlink_signing::{Stamper, TICKS_PER_SECOND, Timestamp};
-use mavseal_qemu_m7::{Board, Overrun, WallClock, exit, info, warn};
-use mavseal_relay::{Clock, Counters, Direction, Event, Forward, PortError, Refusal, Relay};
+use mavlink_signing::{KeyChangeError, Keys, Source, TICKS_PER_SECOND, Timestamp};
+use mavseal_qemu_m7::{Board, Flash, Overrun, PAGE_SIZE, WallClock, exit, info, warn};
+use mavseal_relay::{
+    Clock, Counters, Direction, Event, Forward, Kept, KeySlots, PortError, Refusal, Relay,
+};
+use mavseal_store::Region;
 
 /// The link id of the frames that this end signs.
 const LINK_OUT: u8 = 1;
 /// Silence after which the counters are logged: one second.
 const QUIET: u64 = TICKS_PER_SECOND;
+/// The whole of a flash.
+const REGION: Region = Region {
+    start: 0,
+    page_size: PAGE_SIZE as u32,
+};
+/// The system and component that SETUP_SIGNING names to give the relay a key: a vehicle's, and
+/// MAV_COMP_ID_USER1.
+const SYSTEM: u8 = 1;
+const COMPONENT: u8 = 25;
 
-/// With mavseal at both ends: its own profile, one peer, and a clock that both share.
+/// With mavseal at both ends: its own profile, and one peer.
 #[cfg(not(feature = "standard-signature"))]
 mod peer {
-    use mavlink_signing::{Hmac, KeyError, Replay, SigningKey, Window};
+    use mavlink_signing::{Hmac, KEY_SIZE, Replay, Timestamp, Window};
     use mavseal_qemu_m7::{DEMO_KEY, info};
 
     /// The link id of the frames that the peer signs.
@@ -25,50 +37,52 @@ mod peer {
     pub(super) type Profile = Hmac;
     pub(super) type Receiver = Replay;
 
-    pub(super) fn key() -> Result<SigningKey<Profile>, KeyError> {
-        SigningKey::new(&DEMO_KEY)
+    pub(super) fn first_key() -> [u8; KEY_SIZE] {
+        DEMO_KEY
     }
 
-    pub(super) fn receiver() -> Receiver {
+    pub(super) fn receiver(floor: Timestamp) -> Receiver {
         info!(
             "In-line signer: signs on link {}, verifies link {}",
             super::LINK_OUT,
             LINK_IN
         );
-        Replay::new(LINK_IN, Window::SEED)
+        Replay::resume(LINK_IN, Window::LINK, floor)
     }
 }
 
-/// With MAVProxy and other ground stations: the standard's signature, a key that can be typed, streams
-/// for them and for what is behind the relay, and the minute that the MAVLink guide gives a sender
-/// ("Message Signing", Timestamp Handling), either way.
+/// With MAVProxy and other ground stations: the standard's signature, a key that can be typed, and streams
+/// for them and for what is behind the relay.
 #[cfg(feature = "standard-signature")]
 mod peer {
-    use mavlink_signing::{
-        KeyError, Links, SigningKey, Standard, Streams, TICKS_PER_SECOND, Window,
-    };
+    use mavlink_signing::{KEY_SIZE, Links, Standard, Streams, Timestamp, Window, passphrase_key};
     use mavseal_qemu_m7::{DEMO_PASSPHRASE, info};
 
     pub(super) type Profile = Standard;
     pub(super) type Receiver = Streams<16>;
 
-    const MINUTE: u64 = 60 * TICKS_PER_SECOND;
-    const WINDOW: Window = Window {
-        past: MINUTE,
-        ahead: MINUTE,
-    };
-
-    pub(super) fn key() -> Result<SigningKey<Profile>, KeyError> {
-        SigningKey::from_passphrase(DEMO_PASSPHRASE)
+    pub(super) fn first_key() -> [u8; KEY_SIZE] {
+        passphrase_key(DEMO_PASSPHRASE)
     }
 
-    pub(super) fn receiver() -> Receiver {
+    pub(super) fn receiver(floor: Timestamp) -> Receiver {
         info!(
             "In-line signer: signs on link {}, verifies every link",
             super::LINK_OUT
         );
-        Streams::new(Links::Any, WINDOW)
+        Streams::resume(Links::Any, Window::LINK, floor)
     }
+}
+
+/// The keys in flash; at the very first start, the one that the image was built with.
+fn keys(flash: Flash) -> Option<(KeySlots<Flash>, Keys<peer::Profile>)> {
+    let (mut slots, found) = KeySlots::open(flash, REGION).ok()?;
+    let keys = match found {
+        Some(keys) => keys,
+        None if slots.is_empty() => slots.provision(&peer::first_key()).ok()?,
+        None => return None,
+    };
+    Some((slots, keys))
 }
 
 #[entry]
@@ -76,32 +90,51 @@ fn main() -> ! {
     let Some(board) = Board::take() else {
         exit(1);
     };
-    let Some(mut clock) = WallClock::synced(board.timer) else {
+    let Some(mut wall) = WallClock::synced(board.timer) else {
         warn!("The relay needs a clock, and nobody tells the time");
         exit(1);
     };
-    let Ok(key) = peer::key() else {
-        warn!("The key cannot be used");
+    let [mark, slots] = board.flashes;
+    let time_of_day = wall.now();
+    let Ok(mut kept) = Kept::new(mark, REGION, || wall.now().ticks()) else {
+        warn!("The mark cannot be used");
         exit(1);
     };
-    let stamper = Stamper::new(LINK_OUT);
-    let Ok(mut relay) = Relay::new(key, stamper, peer::receiver(), Forward::Stripped) else {
+    kept.tell(Source::Trusted, time_of_day);
+    let Some((mut slots, keys)) = keys(slots) else {
+        warn!("The keys cannot be used");
+        exit(1);
+    };
+    let receiver = peer::receiver(kept.floor());
+    let Ok(relay) = Relay::new(keys, kept.stamper(LINK_OUT), receiver, Forward::Stripped) else {
         warn!("Both directions have the same link id");
         exit(1);
     };
+    let mut relay = relay.taking_setup(SYSTEM, COMPONENT);
     let [mut plain, mut secure] = board.uarts;
 
     let mut log = Log::default();
     loop {
         let mut observe = |event| log.event(event);
-        let polled = relay.poll(&mut plain, &mut secure, &mut clock, &mut observe);
+        let polled = relay.poll(&mut plain, &mut secure, &mut kept, &mut observe);
         if let Err(error) = &polled.plain_to_secure {
             log_port(Direction::PlainToSecure, error);
         }
         if let Err(error) = &polled.secure_to_plain {
             log_port(Direction::SecureToPlain, error);
         }
-        log.turn(polled.moved(), clock.now(), &relay);
+        // The plain side is a cable: who holds it may set key and clock.
+        if let Some(setup) = relay.take_setup() {
+            let applied = relay.keys().apply(&setup.secret_key, &mut slots);
+            if applied.is_ok() {
+                kept.tell(Source::Trusted, setup.initial_timestamp);
+            }
+            log_key("SETUP_SIGNING", applied);
+        }
+        if relay.keys().is_heard() {
+            log_key("New key heard", relay.keys().confirm(&mut slots));
+        }
+        log.turn(polled.moved(), kept.now(), &relay);
     }
 }
 
@@ -155,6 +188,17 @@ impl Log {
             log_counters("verified", relay.secure_to_plain());
         }
     }
+}
+
+fn log_key(what: &str, result: Result<(), KeyChangeError>) {
+    match result {
+        Ok(()) => info!("{}: done", what),
+        Err(error) => {
+            warn!("{}: {}", what, error);
+            let _ = error;
+        }
+    }
+    let _ = what;
 }
 
 fn log_port(direction: Direction, error: &PortError<Overrun, Overrun>) {

@@ -1,0 +1,358 @@
+//! Changing the key of a link while it is in use, in two phases, so that no end goes deaf.
+
+use core::fmt;
+
+use subtle::ConstantTimeEq;
+
+use crate::error::{KeyError, VerifyError};
+use crate::frame::FrameRef;
+use crate::keeper::NotStored;
+use crate::key::{KEY_SIZE, SigningKey};
+use crate::profile::Profile;
+use crate::verify::{Authentic, Verified, authenticate};
+
+/// How far a change of key has come at one end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Phase {
+    /// One key. No change is under way.
+    Settled,
+    /// This end has sent a new key to the other, and does not know whether it arrived: it signs with the
+    /// old one until it hears the new one.
+    Offered,
+    /// This end was given a new key, and signs with it: whoever gave it accepts both.
+    Applied,
+    /// The other end has been heard with the new key. Both sign with it; the old one waits to be retired.
+    Confirmed,
+}
+
+/// What is to be stored of a change of key, before it has any effect.
+#[derive(Clone, Copy)]
+pub enum KeyChange<'a> {
+    /// A new key beside the one in use, in phase [`Phase::Offered`] or [`Phase::Applied`].
+    Begin(&'a [u8; KEY_SIZE], Phase),
+    /// [`Phase::Confirmed`]; the keys stay.
+    Confirm,
+    /// [`Phase::Settled`] with the new key; the old one is to be erased.
+    Retire,
+    /// [`Phase::Settled`] with the old key; the new one is to be erased.
+    Withdraw,
+}
+
+impl fmt::Debug for KeyChange<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Begin(..) => "Begin(redacted)",
+            Self::Confirm => "Confirm",
+            Self::Retire => "Retire",
+            Self::Withdraw => "Withdraw",
+        })
+    }
+}
+
+/// Where keys are kept over a restart.
+pub trait KeyStore {
+    /// Stores `change`. After a restart, [`Keys`] are resumed in the state after it.
+    ///
+    /// # Errors
+    ///
+    /// [`NotStored`]: after a restart, either the state before it or the state after it is found.
+    fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored>;
+}
+
+/// Why a key was not changed. Nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum KeyChangeError {
+    /// It is no key. Whoever sent it is at fault, or wants this end to stop signing: it does not.
+    Key(KeyError),
+    /// Another change is under way. Retire its old key, or withdraw its new one.
+    UnderWay,
+    /// No new key has been offered that could be withdrawn, or it has been heard already.
+    NotOffered,
+    /// The other end has not been heard with the new key: to retire the old one could make this end deaf.
+    NotConfirmed,
+    /// The keys cannot be stored. The memory is at fault.
+    NotStored,
+}
+
+impl From<KeyError> for KeyChangeError {
+    fn from(error: KeyError) -> Self {
+        Self::Key(error)
+    }
+}
+
+impl From<NotStored> for KeyChangeError {
+    fn from(_: NotStored) -> Self {
+        Self::NotStored
+    }
+}
+
+impl fmt::Display for KeyChangeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Key(error) => error.fmt(f),
+            Self::UnderWay => f.write_str("another change of key is under way"),
+            Self::NotOffered => f.write_str("no key is offered that could be withdrawn"),
+            Self::NotConfirmed => f.write_str("the other end has not been heard with the new key"),
+            Self::NotStored => f.write_str("the keys cannot be stored"),
+        }
+    }
+}
+
+impl core::error::Error for KeyChangeError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Key(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+/// What frames are authenticated with: one key, or the [`Keys`] of a change.
+pub trait Authenticate {
+    /// [`authenticate`] with any of the keys.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`authenticate`].
+    fn authenticate<'a>(&self, frame: FrameRef<'a>) -> Result<Authentic<'a>, VerifyError>;
+
+    /// Learns from a frame that was accepted.
+    fn heard(&mut self, frame: &Verified<'_>) {
+        let _ = frame;
+    }
+}
+
+impl<P: Profile> Authenticate for &SigningKey<P> {
+    fn authenticate<'a>(&self, frame: FrameRef<'a>) -> Result<Authentic<'a>, VerifyError> {
+        authenticate(frame, self)
+    }
+}
+
+/// The key of one end of a link, or the old and the new one while it is changed.
+///
+/// ```text
+/// ground station            SETUP_SIGNING            vehicle
+/// Settled(old)                                       Settled(old)
+///   offer(new)                  ------>
+/// Offered: signs old, accepts both                     apply(new)
+///                               <------              Applied: signs new, accepts both
+///   hears new: confirm()
+/// Confirmed: signs new, accepts both
+///                               ------>                hears new: confirm()
+///                                                    Confirmed: signs new, accepts both
+///   retire()                                           retire()
+/// Settled(new)                                       Settled(new)
+/// ```
+///
+/// Each end accepts at every moment what the other signs with, whatever is lost on the way and wherever
+/// the power fails. An old key is dropped by [`Keys::retire`] alone, never by a timeout, and only once the
+/// other end was heard with the new one. Every step is stored before it has an effect.
+///
+/// Stamps go on across the change, so that one receiver serves both keys.
+pub struct Keys<P> {
+    /// The key that was in use before the change, or the only one.
+    old: SigningKey<P>,
+    /// The new one, unless `Settled`.
+    new: Option<SigningKey<P>>,
+    phase: Phase,
+    /// A frame with the new key was accepted.
+    heard: bool,
+}
+
+impl<P: Profile> From<SigningKey<P>> for Keys<P> {
+    fn from(key: SigningKey<P>) -> Self {
+        Self {
+            old: key,
+            new: None,
+            phase: Phase::Settled,
+            heard: false,
+        }
+    }
+}
+
+impl<P: Profile> Authenticate for Keys<P> {
+    fn authenticate<'a>(&self, frame: FrameRef<'a>) -> Result<Authentic<'a>, VerifyError> {
+        let verdict = authenticate(frame, self.signing());
+        match (self.other(), &verdict) {
+            (Some(other), Err(VerifyError::BadTag)) => authenticate(frame, other),
+            _ => verdict,
+        }
+    }
+
+    fn heard(&mut self, frame: &Verified<'_>) {
+        let unconfirmed = matches!(self.phase, Phase::Offered | Phase::Applied);
+        if let Some(new) = self.new.as_ref().filter(|_| unconfirmed && !self.heard) {
+            let frame = FrameRef::parse(frame.as_bytes());
+            self.heard = frame.is_ok_and(|frame| authenticate(frame, new).is_ok());
+        }
+    }
+}
+
+impl<P: Profile> Keys<P> {
+    /// Two keys in the middle of a change, as they were stored. With [`Phase::Settled`], `new` is dropped.
+    #[must_use]
+    pub fn resume(old: SigningKey<P>, new: SigningKey<P>, phase: Phase) -> Self {
+        Self {
+            old,
+            new: (phase != Phase::Settled).then_some(new),
+            phase,
+            heard: false,
+        }
+    }
+
+    /// How far a change has come.
+    #[must_use]
+    pub const fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// The key to sign with.
+    #[must_use]
+    pub fn signing(&self) -> &SigningKey<P> {
+        match (&self.new, self.phase) {
+            (Some(new), Phase::Applied | Phase::Confirmed) => new,
+            _ => &self.old,
+        }
+    }
+
+    /// The key that is accepted besides.
+    fn other(&self) -> Option<&SigningKey<P>> {
+        match self.phase {
+            Phase::Settled => None,
+            Phase::Offered => self.new.as_ref(),
+            Phase::Applied | Phase::Confirmed => Some(&self.old),
+        }
+    }
+
+    /// Begins to change to `key`, before it is sent to the other end. The key that is offered already may
+    /// be offered again, since SETUP_SIGNING may be lost.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyChangeError::Key`], [`KeyChangeError::UnderWay`], [`KeyChangeError::NotStored`].
+    pub fn offer(
+        &mut self,
+        key: &[u8; KEY_SIZE],
+        store: &mut impl KeyStore,
+    ) -> Result<(), KeyChangeError> {
+        let new = SigningKey::new(key)?;
+        if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+            return Ok(());
+        }
+        if self.phase != Phase::Settled {
+            return Err(KeyChangeError::UnderWay);
+        }
+        store.store(KeyChange::Begin(key, Phase::Offered))?;
+        self.begin(new, Phase::Offered);
+        Ok(())
+    }
+
+    /// Takes over `key`, which came from the other end, or in its place on a trusted port. If it is the old
+    /// key again, and the other end was not heard with the new one, the change is off.
+    ///
+    /// A third key has to wait: the other end may already sign with the second alone.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyChangeError::Key`], [`KeyChangeError::UnderWay`], [`KeyChangeError::NotStored`].
+    pub fn apply(
+        &mut self,
+        key: &[u8; KEY_SIZE],
+        store: &mut impl KeyStore,
+    ) -> Result<(), KeyChangeError> {
+        let new = SigningKey::new(key)?;
+        if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+            return Ok(());
+        }
+        if self.phase == Phase::Applied && !self.heard && same(&new, &self.old) {
+            store.store(KeyChange::Withdraw)?;
+            *self = Self::from(new);
+            return Ok(());
+        }
+        if self.phase != Phase::Settled {
+            return Err(KeyChangeError::UnderWay);
+        }
+        store.store(KeyChange::Begin(key, Phase::Applied))?;
+        self.begin(new, Phase::Applied);
+        Ok(())
+    }
+
+    /// Whether [`Keys::confirm`] is due: the other end was heard with the new key.
+    #[must_use]
+    pub const fn is_heard(&self) -> bool {
+        self.heard
+    }
+
+    /// Goes over to the new key, if the other end has been heard with it; otherwise does nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyChangeError::NotStored`]; it is still due then.
+    pub fn confirm(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
+        if self.heard {
+            store.store(KeyChange::Confirm)?;
+            self.phase = Phase::Confirmed;
+            self.heard = false;
+        }
+        Ok(())
+    }
+
+    /// Drops the old key. Do so when everybody who has it has been heard with the new one.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyChangeError::NotConfirmed`], [`KeyChangeError::NotStored`].
+    pub fn retire(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
+        if self.phase != Phase::Confirmed {
+            return Err(KeyChangeError::NotConfirmed);
+        }
+        store.store(KeyChange::Retire)?;
+        if let Some(new) = self.new.take() {
+            *self = Self::from(new);
+        }
+        Ok(())
+    }
+
+    /// Drops the key that was offered, for instance because the other end refuses it.
+    ///
+    /// Send the old key to the other end then: if it had taken over the new one all the same, this end does
+    /// not hear it until it is back at the old one, which it still accepts. Do not offer the same key again.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyChangeError::NotOffered`], [`KeyChangeError::NotStored`].
+    pub fn withdraw(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
+        if self.phase != Phase::Offered || self.heard {
+            return Err(KeyChangeError::NotOffered);
+        }
+        store.store(KeyChange::Withdraw)?;
+        self.new = None;
+        self.phase = Phase::Settled;
+        Ok(())
+    }
+
+    fn begin(&mut self, new: SigningKey<P>, phase: Phase) {
+        self.new = Some(new);
+        self.phase = phase;
+        self.heard = false;
+    }
+}
+
+/// Whether two keys give the same tags: they are never compared byte by byte, which they do not show.
+fn same<P: Profile>(one: &SigningKey<P>, other: &SigningKey<P>) -> bool {
+    // No frame begins so.
+    [b"mavseal same key, 1", b"mavseal same key, 2"]
+        .iter()
+        .all(|text| bool::from(one.tag(*text).ct_eq(&other.tag(*text))))
+}
+
+impl<P> fmt::Debug for Keys<P> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Keys")
+            .field("phase", &self.phase)
+            .finish_non_exhaustive()
+    }
+}

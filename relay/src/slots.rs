@@ -1,0 +1,151 @@
+//! Two slots for keys in flash, and how far a change from one to the other has come.
+
+use embedded_storage::nor_flash::NorFlash;
+use mavlink_signing::{
+    KEY_SIZE, KeyChange, KeyChangeError, KeyStore, Keys, NotStored, Phase, Profile, SigningKey,
+};
+use mavseal_store::{Journal, OpenError, Region};
+use zeroize::Zeroize;
+
+/// Bytes of phase, and of zeros behind it.
+const PHASE_SIZE: usize = 8;
+/// Bytes of the record: phase, then the old key, then the new one, zeros if there is none.
+pub const KEYS_SIZE: usize = PHASE_SIZE + 2 * KEY_SIZE;
+
+type Record = [u8; KEYS_SIZE];
+
+/// The keys of one end of a link in flash: [`Keys`] over a restart.
+///
+/// Whoever can read the flash has the keys: protect it as the part allows. A key that is given up is erased.
+#[derive(Debug)]
+pub struct KeySlots<F> {
+    journal: Journal<F, KEYS_SIZE>,
+}
+
+impl<F: NorFlash> KeySlots<F> {
+    /// The slots in `region` of `flash`, and the keys that they hold; `None` if they are
+    /// [empty](KeySlots::is_empty), or hold something that cannot be relied on: nothing is signed or accepted
+    /// then.
+    ///
+    /// A change that is under way is stored again before it is relied on.
+    ///
+    /// # Errors
+    ///
+    /// [`OpenError`].
+    pub fn open<P: Profile>(
+        flash: F,
+        region: Region,
+    ) -> Result<(Self, Option<Keys<P>>), OpenError> {
+        let (journal, stored) = Journal::open(flash, region)?;
+        let mut slots = Self { journal };
+        let Some(mut record) = stored else {
+            return Ok((slots, None));
+        };
+        let keys = keys(&record);
+        // What a cut write has left may not be found by the next restart; what follows from it now must not
+        // outlive it.
+        let certain = keys
+            .as_ref()
+            .is_none_or(|keys| keys.phase() == Phase::Settled)
+            || slots.journal.append(&record).is_ok();
+        record.zeroize();
+        Ok((slots, keys.filter(|_| certain)))
+    }
+
+    /// Stores the first key, which came in on a trusted port or was there when the board was made. Every
+    /// other is erased.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyChangeError::Key`], [`KeyChangeError::NotStored`].
+    pub fn provision<P: Profile>(
+        &mut self,
+        key: &[u8; KEY_SIZE],
+    ) -> Result<Keys<P>, KeyChangeError> {
+        let keys = SigningKey::new(key)?.into();
+        let mut record = record(Phase::Settled, key, &[0; KEY_SIZE]);
+        let stored = self.journal.replace(&record);
+        record.zeroize();
+        stored.map_err(|_| KeyChangeError::NotStored)?;
+        Ok(keys)
+    }
+
+    /// Whether no record can be read. Only then may a first key be provided without somebody's asking for it:
+    /// otherwise it would take the place of one that is there.
+    pub const fn is_empty(&self) -> bool {
+        self.journal.is_empty()
+    }
+
+    /// The flash, for what else it holds.
+    pub fn into_flash(self) -> F {
+        self.journal.into_flash()
+    }
+}
+
+impl<F: NorFlash> KeyStore for KeySlots<F> {
+    fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored> {
+        let mut stored = self.journal.newest().ok_or(NotStored)?;
+        let Some((phase, old, new)) = split(&stored) else {
+            return Err(NotStored);
+        };
+        let none = [0; KEY_SIZE];
+        let (mut next, alone) = match (change, phase) {
+            (KeyChange::Begin(key, phase), _) => (record(phase, old, key), false),
+            // The keys settled here already, and the flash failed to erase what they were before.
+            (KeyChange::Retire | KeyChange::Withdraw, Phase::Settled) => (stored, true),
+            (KeyChange::Confirm, Phase::Settled) => return Err(NotStored),
+            (KeyChange::Confirm, _) => (record(Phase::Confirmed, old, new), false),
+            (KeyChange::Retire, _) => (record(Phase::Settled, new, &none), true),
+            (KeyChange::Withdraw, _) => (record(Phase::Settled, old, &none), true),
+        };
+        let result = if alone {
+            self.journal.replace(&next)
+        } else {
+            self.journal.append(&next)
+        };
+        stored.zeroize();
+        next.zeroize();
+        result.map_err(|_| NotStored)
+    }
+}
+
+const fn code(phase: Phase) -> u8 {
+    match phase {
+        Phase::Settled => 1,
+        Phase::Offered => 2,
+        Phase::Applied => 3,
+        Phase::Confirmed => 4,
+    }
+}
+
+fn record(phase: Phase, old: &[u8; KEY_SIZE], new: &[u8; KEY_SIZE]) -> Record {
+    let mut record = [0; KEYS_SIZE];
+    let first = [code(phase), 0, 0, 0, 0, 0, 0, 0];
+    let parts = first.iter().chain(old).chain(new);
+    for (slot, byte) in record.iter_mut().zip(parts) {
+        *slot = *byte;
+    }
+    record
+}
+
+fn split(record: &Record) -> Option<(Phase, &[u8; KEY_SIZE], &[u8; KEY_SIZE])> {
+    let (&[first, ..], rest) = record.split_first_chunk::<PHASE_SIZE>()?;
+    let (old, rest) = rest.split_first_chunk()?;
+    let phases = [
+        Phase::Settled,
+        Phase::Offered,
+        Phase::Applied,
+        Phase::Confirmed,
+    ];
+    let phase = phases.into_iter().find(|phase| code(*phase) == first)?;
+    Some((phase, old, rest.first_chunk()?))
+}
+
+fn keys<P: Profile>(record: &Record) -> Option<Keys<P>> {
+    let (phase, old, new) = split(record)?;
+    let old = SigningKey::new(old).ok()?;
+    if phase == Phase::Settled {
+        return Some(old.into());
+    }
+    Some(Keys::resume(old, SigningKey::new(new).ok()?, phase))
+}
