@@ -1,0 +1,9 @@
+//! Commsec against what is known of it: reference packages, an acceptance trace, conformance strings.
+
+mod common;
+mod framing;
+mod opening;
+mod packing;
+mod radio;
+mod sealing;
+mod vectors;
