@@ -24,12 +24,20 @@ pub enum KeyError {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum PermitError {
+    /// The key is none.
+    Key(KeyError),
     /// A key that nobody seals with.
     NoSender,
     /// This sender is permitted twice, or has been before.
     Twice(SenderId),
     /// There are more senders than rows.
     TableFull,
+}
+
+impl From<KeyError> for PermitError {
+    fn from(error: KeyError) -> Self {
+        Self::Key(error)
+    }
 }
 
 /// Why nothing is sealed, and nothing may be sent.
@@ -141,6 +149,7 @@ impl fmt::Display for KeyError {
 impl fmt::Display for PermitError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Key(error) => error.fmt(f),
             Self::NoSender => f.write_str("a key without a sender"),
             Self::Twice(sender) => write!(f, "sender {sender} is permitted twice"),
             Self::TableFull => f.write_str("the table of senders is full"),
@@ -227,12 +236,19 @@ impl fmt::Display for RadioError {
 }
 
 impl core::error::Error for KeyError {}
-impl core::error::Error for PermitError {}
 impl core::error::Error for SealError {}
 impl core::error::Error for OpenError {}
 impl core::error::Error for FrameError {}
 impl core::error::Error for DecodeError {}
 impl core::error::Error for RadioError {}
+impl core::error::Error for PermitError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Key(error) => Some(error),
+            _ => None,
+        }
+    }
+}
 impl core::error::Error for PackError {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         match self {

@@ -107,6 +107,11 @@ impl Credential {
     pub fn prepare<C: Cipher>(&self) -> Result<Key<C>, KeyError> {
         Key::new(&self.key, self.salt)
     }
+
+    /// Whether two senders seal with one key and salt.
+    pub(crate) fn shares_key_with(&self, other: &Self) -> bool {
+        self.key == other.key && self.salt == other.salt
+    }
 }
 
 impl fmt::Debug for Credential {

@@ -7,7 +7,7 @@ use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, Message};
 use crate::error::{OpenError, PermitError};
-use crate::key::{Key, SenderId};
+use crate::key::{Credential, Key, SenderId};
 use crate::pack::Packets;
 use crate::package::{Header, Parts};
 
@@ -105,6 +105,33 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
         }
     }
 
+    /// A receiver that permits everybody in `credentials`, each with the counter up to which everything
+    /// of his is refused: what `last` says, 0 for whoever has not been heard before.
+    ///
+    /// Those who have one key and salt have one count of wrong tags.
+    ///
+    /// # Errors
+    ///
+    /// [`PermitError`].
+    pub fn of(
+        credentials: &[Credential],
+        last: impl Fn(SenderId) -> u32,
+    ) -> Result<Self, PermitError> {
+        let mut opener = Self::new();
+        for (at, credential) in credentials.iter().enumerate() {
+            let mut before = credentials.iter().take(at);
+            if before.any(|other| other.shares_key_with(credential)) {
+                continue;
+            }
+            let sharing = credentials
+                .iter()
+                .filter(|other| other.shares_key_with(credential));
+            let senders = sharing.map(|other| (other.id, last(other.id)));
+            opener.add(credential.prepare()?, senders)?;
+        }
+        Ok(opener)
+    }
+
     /// Permits `senders`, all of whom seal with `key`, and none of whom has been heard before.
     ///
     /// One key for several senders is what SMACCMPilot's ground stations have: each can then speak as
@@ -130,9 +157,10 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
     fn add(
         &mut self,
         key: Key<C>,
-        senders: impl ExactSizeIterator<Item = (SenderId, u32)> + Clone,
+        senders: impl Iterator<Item = (SenderId, u32)> + Clone,
     ) -> Result<(), PermitError> {
-        if senders.len() == 0 {
+        let count = senders.clone().count();
+        if count == 0 {
             return Err(PermitError::NoSender);
         }
         for (at, (sender, _)) in senders.clone().enumerate() {
@@ -142,7 +170,7 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
                 return Err(PermitError::Twice(sender));
             }
         }
-        if senders.len() > N.saturating_sub(self.senders.len()) {
+        if count > N.saturating_sub(self.senders.len()) {
             return Err(PermitError::TableFull);
         }
         // No key is without a sender, so that there is room for a key wherever there is for a sender.

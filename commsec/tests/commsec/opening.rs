@@ -1,6 +1,8 @@
 //! Opening: the acceptance trace, the order of checks, and what a refusal leaves behind.
 
-use mavlink_commsec::{FAILED_OPENS_LIMIT, OpenError, Opener, PermitError, Sealer, SenderId};
+use mavlink_commsec::{
+    Credential, FAILED_OPENS_LIMIT, KeyError, OpenError, Opener, PermitError, Sealer, SenderId,
+};
 
 use crate::common::{assert_refused, hex, key, last, message, receiver, seal};
 use crate::vectors::{self, A, B, B2, B8, BASE_KEY, BASE_SALT, C, UAV_KEY, UAV_SALT};
@@ -217,6 +219,41 @@ fn last_counter() {
     assert!(opener.open(&hex(vectors::F.package)).is_ok());
     let end = u32::MAX - 1;
     assert_refused(&mut opener, &hex(vectors::F.package), stale(end, end));
+}
+
+/// Stations of one key are permitted with one key; marks are kept.
+#[test]
+fn receiver_of_credentials() {
+    let credential = |id, digits: &str, salt| Credential {
+        id: SenderId(id),
+        key: hex(digits).try_into().expect("16 bytes"),
+        salt,
+    };
+    let all = [
+        credential(5, BASE_KEY, BASE_SALT),
+        credential(7, UAV_KEY, UAV_SALT),
+        credential(6, BASE_KEY, BASE_SALT),
+        credential(8, BASE_KEY, BASE_SALT + 1),
+    ];
+    let mut opener = Opener::<4>::of(&all, |id| id.0 - 5).expect("there is room");
+    let senders: Vec<_> = opener.senders().map(|(id, last)| (id.0, last)).collect();
+    assert_eq!(senders, [(5, 0), (6, 1), (7, 2), (8, 3)]);
+    let mut forged = hex(B.package);
+    forged[4..8].copy_from_slice(&[0, 0, 0, 9]);
+    assert_refused(&mut opener, &forged, OpenError::BadTag);
+    let failed = [5, 6, 7, 8].map(|id| opener.failed_opens(SenderId(id)));
+    assert_eq!(failed, [Some(1), Some(1), Some(0), Some(0)]);
+    assert!(opener.open(&hex(B.package)).is_ok());
+    assert_refused(&mut opener, &hex(A.package), stale(1, 2));
+
+    let error = |credentials: &[Credential]| Opener::<4>::of(credentials, |_| 0).err();
+    let zero = credential(1, "00000000000000000000000000000000", 1);
+    assert_eq!(error(&[zero]), Some(PermitError::Key(KeyError::AllZero)));
+    let twice = [credential(5, BASE_KEY, 1), credential(5, UAV_KEY, 1)];
+    assert_eq!(error(&twice), Some(PermitError::Twice(SenderId(5))));
+    let five = [1, 2, 3, 4, 5].map(|id| credential(id, BASE_KEY, id));
+    assert_eq!(error(&five), Some(PermitError::TableFull));
+    assert_eq!(error(&[]), None);
 }
 
 #[test]
