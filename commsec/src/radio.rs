@@ -59,9 +59,9 @@ pub struct Status {
     pub noise: u8,
     /// Packets it received.
     pub received: u16,
-    /// The same three of the radio at the other end.
+    /// Average strength of what the radio at the other end receives.
     pub remote_rssi: u8,
-    /// Strength of the noise at the other end.
+    /// Average strength of what it receives when nobody sends.
     pub remote_noise: u8,
     /// Packets that the other end received.
     pub remote_received: u16,
