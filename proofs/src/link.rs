@@ -143,6 +143,7 @@ fn message(number: usize) -> Message {
 /// # Panics
 ///
 /// If the property does not hold.
+#[must_use]
 pub fn history<C: Cipher>(first: u32, steps: &[Step]) -> usize {
     let mut ends: [End<C>; ENDS] = core::array::from_fn(|end| End::start(end, first, |_| 0));
     let mut naive = Naive::default();
