@@ -162,7 +162,14 @@ fn lints() -> Result<()> {
         "cargo clippy --quiet --locked --workspace --all-targets -- -D warnings"
     )
     .run()?;
-    let cores = ["-p", "mavlink-signing", "-p", "mavseal-relay"];
+    let cores = [
+        "-p",
+        "mavlink-signing",
+        "-p",
+        "mavlink-commsec",
+        "-p",
+        "mavseal-relay",
+    ];
     cmd!(
         sh,
         "cargo clippy --quiet --locked {cores...} --features defmt -- -D warnings"
@@ -213,6 +220,8 @@ fn cores_alone() -> Result<()> {
             "--locked",
             "-p",
             "mavlink-signing",
+            "-p",
+            "mavlink-commsec",
             "-p",
             "mavseal-relay",
         ]);

@@ -6,6 +6,7 @@ mod demo;
 mod firmware;
 mod fuzz;
 mod interop;
+mod keys;
 mod mutants;
 mod page;
 mod proofs;
@@ -37,6 +38,8 @@ enum Verb {
     Fuzz(fuzz::Options),
     /// Hold the standard's signature against unmodified peers, message by message and live
     Interop(interop::Options),
+    /// Make fresh keys for a sealed link, or check those in a key file
+    Keys(keys::Options),
     /// Try every small change of the cores, which a test must notice
     Mutants(mutants::Options),
     /// Run the proofs with Kani and write what came out to verification.md
@@ -70,6 +73,7 @@ fn run(verb: Verb) -> anyhow::Result<()> {
         Verb::Firmware(options) => firmware::run(&options),
         Verb::Fuzz(options) => fuzz::run(&options),
         Verb::Interop(options) => interop::run(&options),
+        Verb::Keys(options) => keys::run(&options),
         Verb::Mutants(options) => mutants::run(&options),
         Verb::Proofs(options) => proofs::run(&options),
         Verb::RunQemu(options) => qemu::run(&options),

@@ -1,0 +1,264 @@
+//! What can be wrong with a key, a package to send and a package received, and who is at fault.
+
+use core::fmt;
+
+use mavlink_signing::ParseError;
+
+use crate::field::{KEY_SIZE, PACKAGE_SIZE};
+use crate::hx;
+use crate::key::SenderId;
+
+/// Why bytes are not a key. The caller is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum KeyError {
+    /// Not 16 bytes, but this many.
+    WrongLength(usize),
+    /// All bytes are zero: what storage that was never written, or was erased, reads as.
+    AllZero,
+}
+
+/// Why senders cannot be permitted. The caller is at fault; nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum PermitError {
+    /// The key is none.
+    Key(KeyError),
+    /// A key that nobody seals with.
+    NoSender,
+    /// This sender is permitted twice, or has been before.
+    Twice(SenderId),
+    /// There are more senders than rows.
+    TableFull,
+}
+
+impl From<KeyError> for PermitError {
+    fn from(error: KeyError) -> Self {
+        Self::Key(error)
+    }
+}
+
+/// Why nothing is sealed, and nothing may be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SealError {
+    /// All counters of the key have been used; only a new key helps.
+    CounterExhausted,
+    /// The cipher's hardware failed. The counter is used up, the message is not lost.
+    Cipher,
+}
+
+/// Why a received package is refused. The receiver remembers nothing of it but, for
+/// [`BadTag`](Self::BadTag), that one more was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum OpenError {
+    /// Not 96 bytes, but this many: bytes were lost, or this is no package.
+    WrongLength(usize),
+    /// Nobody has permitted this sender.
+    UnknownSender(SenderId),
+    /// Not newer than the last package accepted of its sender: a replay, a duplicate, reordered, or a
+    /// sender that has started to count anew. Whoever sent it need not have the key.
+    Stale {
+        /// The counter that the package claims.
+        counter: u32,
+        /// The counter of the last package accepted of that sender.
+        last: u32,
+    },
+    /// So many packages with a wrong tag have come that no further one is tried; only a new key helps.
+    KeyWornOut,
+    /// Another key or salt, damage on the way, or a forgery.
+    BadTag,
+}
+
+/// Why a packet is not packed. The caller is at fault; nothing has changed but the count of refusals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum PackError {
+    /// The packet has more bytes than fit into a message: this many. It can only be sent unsealed, or
+    /// not at all.
+    TooLong(usize),
+    /// The bytes do not begin with a whole packet of MAVLink 1 or 2.
+    Parse(ParseError),
+    /// More bytes than the packet in front of them: this many.
+    Trailing(usize),
+}
+
+/// Why a message that was opened does not hold whole packets to its end. Its sender is at fault: he
+/// has the key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct UnpackError {
+    /// How many bytes of the message, from its front, are packets and zeros between them.
+    pub offset: usize,
+    /// Why what follows is no packet.
+    pub fault: ParseError,
+}
+
+/// Why bytes cannot be framed. The caller is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum FrameError {
+    /// There are none; SMACCMPilot's radio never recovers from an empty frame.
+    Empty,
+    /// More than 100: this many.
+    TooLong(usize),
+}
+
+/// Why a received frame is dropped. A damaged line, or a sender that speaks something else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// It has a tag and nothing behind it.
+    Empty,
+    /// More than 100 bytes.
+    TooLong,
+    /// It ends between an escape and the byte that was escaped.
+    CutEscape,
+    /// Neither air data nor radio data, but this.
+    UnknownTag(u8),
+}
+
+/// Why bytes of a radio are not the status that was asked for. They may be another answer of it: text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum RadioError {
+    /// Neither 25 bytes that begin with `B` nor 30 that begin with `D`; so many bytes.
+    NoStatus(usize),
+}
+
+impl fmt::Display for KeyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WrongLength(length) => {
+                write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
+            }
+            Self::AllZero => f.write_str("a key of zeros only is no key"),
+        }
+    }
+}
+
+impl fmt::Display for PermitError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Key(error) => error.fmt(f),
+            Self::NoSender => f.write_str("a key without a sender"),
+            Self::Twice(sender) => write!(f, "sender {sender} is permitted twice"),
+            Self::TableFull => f.write_str("the table of senders is full"),
+        }
+    }
+}
+
+impl fmt::Display for SealError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::CounterExhausted => "all counters of the key are used up",
+            Self::Cipher => "the cipher failed",
+        })
+    }
+}
+
+impl fmt::Display for OpenError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WrongLength(length) => write!(
+                f,
+                "a package has {PACKAGE_SIZE} bytes, this one has {length}"
+            ),
+            Self::UnknownSender(sender) => write!(f, "sender {sender} is not permitted"),
+            Self::Stale { counter, last } => write!(
+                f,
+                "counter {counter} is not newer than {last}, the last accepted"
+            ),
+            Self::KeyWornOut => f.write_str("too many wrong tags: the key is worn out"),
+            Self::BadTag => f.write_str("bad tag: another key or a forgery"),
+        }
+    }
+}
+
+impl fmt::Display for PackError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong(length) => {
+                write!(f, "a packet of {length} bytes does not fit into a message")
+            }
+            Self::Parse(error) => error.fmt(f),
+            Self::Trailing(length) => write!(f, "{length} bytes behind the packet"),
+        }
+    }
+}
+
+impl fmt::Display for UnpackError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { offset, fault } = self;
+        write!(f, "no packet at byte {offset} of the message: {fault}")
+    }
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => f.write_str("an empty frame"),
+            Self::TooLong(length) => write!(
+                f,
+                "a frame has at most {} bytes, this one has {length}",
+                hx::MAX_PAYLOAD_SIZE
+            ),
+        }
+    }
+}
+
+impl fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => f.write_str("an empty frame"),
+            Self::TooLong => write!(f, "a frame of more than {} bytes", hx::MAX_PAYLOAD_SIZE),
+            Self::CutEscape => f.write_str("a frame that ends in an escape"),
+            Self::UnknownTag(tag) => write!(f, "a frame with the unknown tag {tag:#04X}"),
+        }
+    }
+}
+
+impl fmt::Display for RadioError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoStatus(length) => write!(f, "{length} bytes that are no status of a radio"),
+        }
+    }
+}
+
+impl core::error::Error for KeyError {}
+impl core::error::Error for SealError {}
+impl core::error::Error for OpenError {}
+impl core::error::Error for FrameError {}
+impl core::error::Error for DecodeError {}
+impl core::error::Error for RadioError {}
+impl core::error::Error for PermitError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Key(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+impl core::error::Error for PackError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Parse(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+impl core::error::Error for UnpackError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        Some(&self.fault)
+    }
+}

@@ -1,0 +1,293 @@
+//! The framing between a radio and what is plugged into it: `hx`, named after hxstream.
+//!
+//! ```text
+//! 0x7E | tag | payload, 0x7E and 0x7C in it escaped | 0x7E
+//!   1  |  1  |              1 to 200                |   1
+//! ```
+//!
+//! The seed's "GCS Communication Security", framing protocol. An escaped byte is 0x7C and the byte with
+//! bit 0x20 turned over. The tag is never escaped.
+//!
+//! **What it does not do.** It marks where frames begin and end and nothing else: no checksum, no
+//! length, no sequence number, no acknowledgement, no flow control. A byte that was damaged is
+//! delivered damaged, a byte that was lost is missing without notice, and a boundary that was lost
+//! makes two frames one. Anybody on the line can make frames, with any tag. Whether a frame means
+//! anything is for what it carries to say: a package says so with its tag. Several byte strings decode
+//! to one frame, since any byte may come escaped.
+
+use core::slice;
+
+use heapless::Vec;
+
+use crate::error::{DecodeError, FrameError};
+use crate::field::PACKAGE_SIZE;
+use crate::package::Package;
+
+/// The byte that ends a frame, begins one, or does both.
+pub const BOUNDARY: u8 = 0x7E;
+/// The byte in front of an escaped one. Not HDLC's, which is 0x7D.
+pub const ESCAPE: u8 = 0x7C;
+/// The bit that is turned over in an escaped byte.
+pub const ESCAPE_BIT: u8 = 0x20;
+/// Most bytes of payload: 100, which is what SMACCMPilot's radio takes. A package has 96.
+pub const MAX_PAYLOAD_SIZE: usize = 100;
+/// Most bytes of a frame on the line, boundaries included: 203. A package takes 99 to 195.
+pub const MAX_ENCODED_SIZE: usize = 2 * MAX_PAYLOAD_SIZE + 3;
+
+const _: () = assert!(PACKAGE_SIZE <= MAX_PAYLOAD_SIZE);
+
+/// What a frame carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Tag {
+    /// 0, "air data": a package, which the radio sends on through the air.
+    AirData,
+    /// 1, "radio data": plain bytes between a host and its own radio, which never cross the air.
+    Radio,
+}
+
+impl Tag {
+    /// Its byte on the line.
+    #[must_use]
+    pub const fn to_wire(self) -> u8 {
+        match self {
+            Self::AirData => 0,
+            Self::Radio => 1,
+        }
+    }
+
+    const fn from_wire(byte: u8) -> Option<Self> {
+        match byte {
+            0 => Some(Self::AirData),
+            1 => Some(Self::Radio),
+            _ => None,
+        }
+    }
+}
+
+/// A frame: a tag, and 1 to 100 bytes. Never an empty one: SMACCMPilot's radio never sends anything
+/// again once it has been handed an empty frame of air data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frame<'a> {
+    tag: Tag,
+    payload: &'a [u8],
+}
+
+impl<'a> Frame<'a> {
+    /// A frame of any content.
+    ///
+    /// # Errors
+    ///
+    /// [`FrameError::Empty`], [`FrameError::TooLong`].
+    pub const fn new(tag: Tag, payload: &'a [u8]) -> Result<Self, FrameError> {
+        match payload.len() {
+            0 => Err(FrameError::Empty),
+            1..=MAX_PAYLOAD_SIZE => Ok(Self { tag, payload }),
+            length => Err(FrameError::TooLong(length)),
+        }
+    }
+
+    /// What it carries.
+    #[must_use]
+    pub const fn tag(&self) -> Tag {
+        self.tag
+    }
+
+    /// Its 1 to 100 bytes, not escaped. As received, air data need not be a package.
+    #[must_use]
+    pub const fn payload(&self) -> &'a [u8] {
+        self.payload
+    }
+
+    /// Its bytes on the line, with a boundary at both ends.
+    #[must_use]
+    pub fn encode(&self) -> Encode<'a> {
+        Encode {
+            next: Next::Begin(self.tag),
+            payload: self.payload.iter(),
+        }
+    }
+}
+
+impl<'a> From<&'a Package> for Frame<'a> {
+    /// The package as air data.
+    fn from(package: &'a Package) -> Self {
+        Self {
+            tag: Tag::AirData,
+            payload: package.as_bytes(),
+        }
+    }
+}
+
+/// The bytes of a frame on the line, 4 to 203.
+#[derive(Clone, Debug)]
+pub struct Encode<'a> {
+    next: Next,
+    payload: slice::Iter<'a, u8>,
+}
+
+/// What comes next out of [`Encode`].
+#[derive(Clone, Copy, Debug)]
+enum Next {
+    Begin(Tag),
+    Tag(Tag),
+    Payload,
+    /// This byte, behind its escape.
+    Escaped(u8),
+    Nothing,
+}
+
+impl Iterator for Encode<'_> {
+    type Item = u8;
+
+    fn next(&mut self) -> Option<u8> {
+        let (byte, next) = match self.next {
+            Next::Begin(tag) => (BOUNDARY, Next::Tag(tag)),
+            Next::Tag(tag) => (tag.to_wire(), Next::Payload),
+            Next::Payload => match self.payload.next() {
+                Some(byte @ (&BOUNDARY | &ESCAPE)) => (ESCAPE, Next::Escaped(byte ^ ESCAPE_BIT)),
+                Some(byte) => (*byte, Next::Payload),
+                None => (BOUNDARY, Next::Nothing),
+            },
+            Next::Escaped(byte) => (byte, Next::Payload),
+            Next::Nothing => return None,
+        };
+        self.next = next;
+        Some(byte)
+    }
+}
+
+impl core::iter::FusedIterator for Encode<'_> {}
+
+/// Where a [`Decoder`] is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+enum State {
+    /// Before a boundary: nothing is known.
+    Idle,
+    /// Behind a boundary.
+    Tag,
+    /// Within a payload.
+    Payload(Tag),
+    /// Within a payload, behind an escape.
+    Escape(Tag),
+}
+
+/// Finds frames in a stream of bytes, one byte at a time.
+///
+/// Holds at most the 100 bytes of one payload. A boundary ends whatever there was, so that from any
+/// state, after any bytes, the next whole frame is found. A boundary may be shared by two frames, and
+/// there may be several between them. A frame without a boundary behind it waits for the next byte that
+/// is one.
+///
+/// ```
+/// use mavlink_commsec::hx::{Decoder, Frame, Tag};
+///
+/// let mut decoder = Decoder::new();
+/// let frame = Frame::new(Tag::Radio, b"B\r")?;
+/// let mut received = 0;
+/// for byte in frame.encode() {
+///     if let Some(decoded) = decoder.push(byte) {
+///         assert_eq!(decoded?, frame);
+///         received += 1;
+///     }
+/// }
+/// assert_eq!(received, 1);
+/// # Ok::<(), Box<dyn core::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    state: State,
+    payload: Vec<u8, MAX_PAYLOAD_SIZE>,
+}
+
+impl Decoder {
+    /// A decoder that waits for a boundary.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            state: State::Idle,
+            payload: Vec::new(),
+        }
+    }
+
+    /// Takes the next byte; gives the frame that it ends, or why that is dropped.
+    ///
+    /// # Errors
+    ///
+    /// [`DecodeError::Empty`] and [`DecodeError::CutEscape`] with the boundary that ends such a frame;
+    /// [`DecodeError::UnknownTag`] and [`DecodeError::TooLong`] with the byte that is wrong, once: what
+    /// follows up to the next boundary is passed over.
+    pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, DecodeError>> {
+        match (self.state, byte) {
+            (State::Idle | State::Tag, BOUNDARY) => {
+                self.state = State::Tag;
+                None
+            }
+            (State::Idle, _) => None,
+            (State::Tag, _) => match Tag::from_wire(byte) {
+                Some(tag) => {
+                    self.payload.clear();
+                    self.state = State::Payload(tag);
+                    None
+                }
+                None => {
+                    self.state = State::Idle;
+                    Some(Err(DecodeError::UnknownTag(byte)))
+                }
+            },
+            (State::Payload(tag), BOUNDARY) => {
+                self.state = State::Tag;
+                let frame = Frame::new(tag, &self.payload);
+                Some(frame.map_err(|_| DecodeError::Empty))
+            }
+            (State::Escape(_), BOUNDARY) => {
+                self.state = State::Tag;
+                Some(Err(DecodeError::CutEscape))
+            }
+            (State::Payload(tag), ESCAPE) => {
+                self.state = State::Escape(tag);
+                None
+            }
+            (State::Payload(tag), _) => self.append(tag, byte),
+            (State::Escape(tag), _) => self.append(tag, byte ^ ESCAPE_BIT),
+        }
+    }
+
+    fn append(&mut self, tag: Tag, byte: u8) -> Option<Result<Frame<'_>, DecodeError>> {
+        if self.payload.push(byte).is_ok() {
+            self.state = State::Payload(tag);
+            return None;
+        }
+        self.state = State::Idle;
+        Some(Err(DecodeError::TooLong))
+    }
+
+    /// For proofs: in any state, with any payload so far.
+    #[cfg(kani)]
+    #[must_use]
+    pub fn any() -> Self {
+        let tag = if kani::any() {
+            Tag::AirData
+        } else {
+            Tag::Radio
+        };
+        let state = match kani::any() {
+            0_u8 => State::Idle,
+            1 => State::Tag,
+            2 => State::Payload(tag),
+            _ => State::Escape(tag),
+        };
+        let mut payload = Vec::from_array(kani::any::<[u8; MAX_PAYLOAD_SIZE]>());
+        let length = kani::any();
+        kani::assume(length <= MAX_PAYLOAD_SIZE);
+        payload.truncate(length);
+        Self { state, payload }
+    }
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}

@@ -1,0 +1,123 @@
+//! Keys with their salts, and who uses them.
+
+use core::fmt;
+
+use zeroize::Zeroizing;
+
+use crate::cipher::{AesGcm, Cipher, CipherError, Message, Nonce, Tag};
+use crate::error::KeyError;
+use crate::field::{KEY_SIZE, SALT_SIZE};
+use crate::package::Header;
+
+/// Who sealed a package: a vehicle or a ground station, by the number that the key file gives it.
+///
+/// Any number; SMACCMPilot's own receivers know only 0 to 15.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SenderId(
+    /// The number.
+    pub u32,
+);
+
+impl fmt::Display for SenderId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// A key and its salt, prepared for use.
+///
+/// There is no way to read them back, [`Debug`] does not show them, and they are not copied. Their
+/// memory is wiped when they are dropped; what their preparation leaves on the stack is not.
+pub struct Key<C = AesGcm> {
+    cipher: C,
+    salt: Zeroizing<[u8; SALT_SIZE]>,
+}
+
+impl<C: Cipher> Key<C> {
+    /// The key in `bytes`, which should come from a random generator, and its salt.
+    ///
+    /// The caller wipes its own copies.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyError::WrongLength`] unless there are 16 bytes; [`KeyError::AllZero`] for storage that
+    /// nobody has written a key to.
+    pub fn new(bytes: &[u8], salt: u32) -> Result<Self, KeyError> {
+        let key: &[u8; KEY_SIZE] = bytes
+            .try_into()
+            .map_err(|_| KeyError::WrongLength(bytes.len()))?;
+        // Looks at every byte, so that time says nothing about where the first other one is.
+        if key.iter().fold(0, |all, byte| all | byte) == 0 {
+            return Err(KeyError::AllZero);
+        }
+        Ok(Self {
+            cipher: C::new(key),
+            salt: Zeroizing::new(salt.to_be_bytes()),
+        })
+    }
+
+    pub(crate) fn seal(&self, header: Header, message: &mut Message) -> Result<Tag, CipherError> {
+        self.cipher.seal(&self.nonce(header), message)
+    }
+
+    pub(crate) fn open(
+        &self,
+        header: Header,
+        message: &mut Message,
+        tag: &Tag,
+    ) -> Result<(), CipherError> {
+        self.cipher.open(&self.nonce(header), message, tag)
+    }
+
+    /// The salt, then the header as it is sent. So the header is under the tag without being
+    /// associated data.
+    fn nonce(&self, header: Header) -> Zeroizing<Nonce> {
+        let [a, b, c, d] = *self.salt;
+        let [e, f, g, h, i, j, k, l] = header.to_wire();
+        Zeroizing::new([a, b, c, d, e, f, g, h, i, j, k, l])
+    }
+}
+
+impl<C> fmt::Debug for Key<C> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Key(redacted)")
+    }
+}
+
+/// What the key file says of one sender, as a constant of firmware: `mavseal-keys` writes it there.
+///
+/// [`Debug`] shows the id alone. It lies in the image, so nothing wipes it: whoever reads the image has
+/// the key.
+pub struct Credential {
+    /// Who seals with the key.
+    pub id: SenderId,
+    /// The key.
+    pub key: [u8; KEY_SIZE],
+    /// The part of the nonce that is never sent.
+    pub salt: u32,
+}
+
+impl Credential {
+    /// The key, prepared for use.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyError::AllZero`].
+    pub fn prepare<C: Cipher>(&self) -> Result<Key<C>, KeyError> {
+        Key::new(&self.key, self.salt)
+    }
+
+    /// Whether two senders seal with one key and salt.
+    pub(crate) fn shares_key_with(&self, other: &Self) -> bool {
+        self.key == other.key && self.salt == other.salt
+    }
+}
+
+impl fmt::Debug for Credential {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Credential")
+            .field("id", &self.id)
+            .finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,195 @@
+//! Whole MAVLink packets into messages of 80 bytes, and out of them again.
+
+use core::time::Duration;
+
+use heapless::Vec;
+use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE_V1, MAGIC_V1};
+use mavlink_signing::{FrameRef, MessageId, ParseError};
+
+use crate::cipher::Message;
+use crate::error::{PackError, UnpackError};
+use crate::field::MESSAGE_SIZE;
+
+/// Bytes that old SMACCMPilot vehicles look at: they lose the last 8 of a message.
+pub const OLD_VEHICLE_SIZE: usize = 72;
+
+/// HEARTBEAT, which makes a message leave.
+const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
+
+/// Collects packets until a message is full, a HEARTBEAT comes, or one has waited too long.
+///
+/// A packet is never split and never changed; packets leave in the order in which they came. Nobody
+/// says how many there are: behind the last, the message is filled with zeros. A packet that does not
+/// fit into any message is refused and counted, never dropped in silence.
+///
+/// ```
+/// use core::time::Duration;
+/// use mavlink_commsec::{Packer, packets};
+///
+/// let heartbeat = [0xFE, 9, 0, 1, 0, 0, 0, 0, 0, 0, 2, 13, 1, 0, 3, 0xE7, 0x8F];
+/// let mut packer = Packer::new(Duration::from_millis(50));
+/// assert_eq!(packer.push(&heartbeat, Duration::ZERO)?, None);
+/// let message = packer.poll(Duration::ZERO).ok_or("a heartbeat does not wait")?;
+/// assert_eq!(packets(&message).collect::<Vec<_>>(), [Ok(&heartbeat[..])]);
+/// # Ok::<(), Box<dyn core::error::Error>>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Packer {
+    pending: Vec<u8, MESSAGE_SIZE>,
+    /// Bytes of a message that packets may lie in.
+    size: usize,
+    /// When the first pending packet came.
+    since: Duration,
+    patience: Duration,
+    /// A HEARTBEAT is pending.
+    due: bool,
+    refused: u32,
+}
+
+impl Packer {
+    /// A packer that fills all 80 bytes, and lets no packet wait longer than `patience`.
+    #[must_use]
+    pub const fn new(patience: Duration) -> Self {
+        Self::of_size(MESSAGE_SIZE, patience)
+    }
+
+    /// The same for a vehicle with SMACCMPilot's own firmware, which loses what lies behind the first
+    /// [`OLD_VEHICLE_SIZE`] bytes of a message: they stay zero.
+    #[must_use]
+    pub const fn for_old_vehicles(patience: Duration) -> Self {
+        Self::of_size(OLD_VEHICLE_SIZE, patience)
+    }
+
+    const fn of_size(size: usize, patience: Duration) -> Self {
+        Self {
+            pending: Vec::new(),
+            size,
+            since: Duration::ZERO,
+            patience,
+            due: false,
+            refused: 0,
+        }
+    }
+
+    /// Takes one whole packet of MAVLink 1 or 2, checksum not looked at; gives the message that had to
+    /// make room for it, which must be sealed now.
+    ///
+    /// `now` is the time since any start, by a clock that never goes back.
+    ///
+    /// # Errors
+    ///
+    /// [`PackError::Parse`], [`PackError::Trailing`]: not one whole packet. [`PackError::TooLong`]: the
+    /// packet fits into no message. Refused packets are counted; what is pending stays.
+    pub fn push(&mut self, packet: &[u8], now: Duration) -> Result<Option<Message>, PackError> {
+        let id = self.check(packet).inspect_err(|_| {
+            self.refused = self.refused.saturating_add(1);
+        })?;
+        let full = packet.len() > self.size.saturating_sub(self.pending.len());
+        let message = if full { self.flush() } else { None };
+        if self.pending.is_empty() {
+            self.since = now;
+        }
+        let appended = self.pending.extend_from_slice(packet);
+        debug_assert!(appended.is_ok(), "it fits into an empty message");
+        self.due |= id == HEARTBEAT;
+        Ok(message)
+    }
+
+    fn check(&self, packet: &[u8]) -> Result<MessageId, PackError> {
+        let (first, id) = first_packet(packet).map_err(PackError::Parse)?;
+        match packet.len() - first.len() {
+            0 if first.len() > self.size => Err(PackError::TooLong(first.len())),
+            0 => Ok(id),
+            trailing => Err(PackError::Trailing(trailing)),
+        }
+    }
+
+    /// The message that is to be sealed now, if there is one: it holds a HEARTBEAT, or its first packet
+    /// has waited long enough.
+    ///
+    /// Called at least once in each span of patience, it bounds every packet's wait to two of them.
+    pub fn poll(&mut self, now: Duration) -> Option<Message> {
+        if self.due || now.saturating_sub(self.since) >= self.patience {
+            self.flush()
+        } else {
+            None
+        }
+    }
+
+    /// What is pending, whatever it is; `None` if that is nothing.
+    pub fn flush(&mut self) -> Option<Message> {
+        if self.pending.is_empty() {
+            return None;
+        }
+        let mut message = [0; MESSAGE_SIZE];
+        for (slot, byte) in message.iter_mut().zip(&self.pending) {
+            *slot = *byte;
+        }
+        self.pending.clear();
+        self.due = false;
+        Some(message)
+    }
+
+    /// How many packets were refused, since the start; stays at the top of its range.
+    #[must_use]
+    pub const fn refused(&self) -> u32 {
+        self.refused
+    }
+}
+
+/// The packets in a message, in order.
+#[must_use]
+pub const fn packets(message: &Message) -> Packets<'_> {
+    Packets::new(message)
+}
+
+/// The packets in a message, in order; zeros between and behind them are passed over.
+///
+/// By their shape alone, checksums not looked at: the message is authentic, and whoever reads a packet
+/// knows its dialect. Behind the first error there is nothing more.
+#[derive(Clone, Debug)]
+pub struct Packets<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Packets<'a> {
+    pub(crate) const fn new(message: &'a Message) -> Self {
+        Self { rest: message }
+    }
+}
+
+impl<'a> Iterator for Packets<'a> {
+    type Item = Result<&'a [u8], UnpackError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let zeros = self.rest.iter().take_while(|byte| **byte == 0).count();
+        let rest = self.rest.get(zeros..).unwrap_or_default();
+        self.rest = &[];
+        if rest.is_empty() {
+            return None;
+        }
+        let found = first_packet(rest).map(|(packet, _)| packet);
+        if let Ok(packet) = found {
+            self.rest = rest.get(packet.len()..).unwrap_or_default();
+        }
+        Some(found.map_err(|fault| UnpackError {
+            offset: MESSAGE_SIZE - rest.len(),
+            fault,
+        }))
+    }
+}
+
+impl core::iter::FusedIterator for Packets<'_> {}
+
+/// The packet at the front of `bytes`, and which message it carries.
+fn first_packet(bytes: &[u8]) -> Result<(&[u8], MessageId), ParseError> {
+    if bytes.first() != Some(&MAGIC_V1) {
+        let frame = FrameRef::parse(bytes)?;
+        return Ok((frame.as_bytes(), frame.header().message_id));
+    }
+    let header = bytes.first_chunk().ok_or(ParseError::Truncated)?;
+    let &[_, payload_length, _, _, _, id]: &[u8; HEADER_SIZE_V1] = header;
+    let size = HEADER_SIZE_V1 + usize::from(payload_length) + CHECKSUM_SIZE;
+    let packet = bytes.get(..size).ok_or(ParseError::Truncated)?;
+    Ok((packet, id.into()))
+}

@@ -1,0 +1,10 @@
+//! Commsec against what is known of it: reference packages, an acceptance trace, conformance strings.
+
+mod common;
+mod errors;
+mod framing;
+mod opening;
+mod packing;
+mod radio;
+mod sealing;
+mod vectors;

@@ -1,0 +1,126 @@
+//! Packages that SMACCMPilot's own C library made from the same inputs, and their frames.
+//!
+//! A to G came out byte for byte equal from the archived library; B8 is what a reader of keys makes that
+//! takes a salt with a leading zero for octal.
+
+/// A package with all that it was made from.
+pub struct Vector {
+    pub name: &'static str,
+    pub key: &'static str,
+    pub salt: u32,
+    pub id: u32,
+    pub counter: u32,
+    pub plain: &'static str,
+    pub package: &'static str,
+}
+
+/// The example key of the vehicle.
+pub const UAV_KEY: &str = "0f0e0d0c0b0a09080706050403020100";
+pub const UAV_SALT: u32 = 9_219_834;
+/// The example key of all ground stations.
+pub const BASE_KEY: &str = "000102030405060708090a0b0c0d0e0f";
+pub const BASE_SALT: u32 = 17_235;
+
+pub const A: Vector = Vector {
+    name: "A",
+    key: UAV_KEY,
+    salt: UAV_SALT,
+    id: 7,
+    counter: 1,
+    plain: "fe090001000000000000020d010003e78ffe0d010100b900000000290000000100000000614d000000000000000000000000000000000000000000000000000000000000000000000000000000000000",
+    package: "00000007000000011e564fc09797b659232affaf90d4d6a901a76c716b412c55b8ab86300ed7f6d6f26ace8351c521a0fee333dbc1b28c0ee314555b8640651214373d4f02ea6a1a6a8f96393d9dcff3b0744aecd80c24e9dee55d246101af2e",
+};
+
+pub const B: Vector = Vector {
+    name: "B",
+    key: BASE_KEY,
+    salt: BASE_SALT,
+    id: 5,
+    counter: 1,
+    plain: "fe2101ffbe4c0000803f000000000000000000000000000000000000000000000000900101fa006305fe0900ffbe00000000000608000003284200000000000000000000000000000000000000000000",
+    package: "000000050000000145e319580c02b68eeb344b9a13b781e138c73ffe71c05a645e81a45b12615afe0e03eace7807658aad83c9d52836a10cce2b30ebe8cdd5918f7c58d9a81365a8b3b27a46dc6add6803ae92fc13d418f602ab7731464e6d5c",
+};
+
+pub const B2: Vector = Vector {
+    name: "B2",
+    key: BASE_KEY,
+    salt: BASE_SALT,
+    id: 5,
+    counter: 2,
+    plain: "fe0900ffbe000000000006080000032842000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000",
+    package: "0000000500000002e240b9cb15f2b9f539eb6fb91df65728c02c59a2efad80852595d7efee6ac59cafd13e89bb9d5eef52c4761c6705485b4526eaf88c5edf5795e1f5d130adc5228f7af3b76b3143bf958eba426770e44f38869f64c7ecb959",
+};
+
+pub const B8: Vector = Vector {
+    name: "B8",
+    key: BASE_KEY,
+    salt: 7_837,
+    id: 5,
+    counter: 1,
+    plain: "fe2101ffbe4c0000803f000000000000000000000000000000000000000000000000900101fa006305fe0900ffbe00000000000608000003284200000000000000000000000000000000000000000000",
+    package: "00000005000000014e07948d85a4b205b3b222750afb26c3a8f13d5617c2d1787c9d92c46f688f92ed47e856784650670bae8b5169e5ebdfd98d37f7123e89552252537858e967cd7d0542fb32ca1ae0425186eec69c7adf6299576d2894c6ff",
+};
+
+pub const C: Vector = Vector {
+    name: "C",
+    key: BASE_KEY,
+    salt: BASE_SALT,
+    id: 5,
+    counter: 31_870,
+    plain: "fe0964ffbe000000000006080000034157fe09bbffbe00000000000608000003c3db00000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000",
+    package: "0000000500007c7e5a3c7e67ba5971dbaaf4da825e141b0689b72e4ed7ff70a53917ee19e7a844156c7c3b9100089ecf602c8d02515add60216850751da1c205fd2596aba6e73793e06924bf6e15ef797e3344c1c07877fa397ca8e18f1154b7",
+};
+
+pub const D: Vector = Vector {
+    name: "D",
+    key: "0102030405060708090a0b0c0d0e0f10",
+    salt: 0xdead_beef,
+    id: 1,
+    counter: 1,
+    plain: "74686520717569636b2062726f776e20666f78206a756d706564202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020202020",
+    package: "000000010000000195eec71ef0541ba426bd144c8e85b92c95073aab20b8d95a11701acf6cd0bf984b9a31e76106fbf68d344b4c53ac287ba44d4dd9ecc914592dfd34c464aa8d75361abfbb2bac91b2745faed3e12ec8d4dc12a48c9a4264ee",
+};
+
+pub const F: Vector = Vector {
+    name: "F",
+    key: BASE_KEY,
+    salt: BASE_SALT,
+    id: 15,
+    counter: 4_294_967_294,
+    plain: "0000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000000",
+    package: "0000000ffffffffed1a2e5f32819d14cb8ff511531043f4d40791b32610add7649d68771eca835f177c0a2527c81d7ed5998ab633236473645a6f1ad9061590fdcfb0f5e1df7ca354676ef6d62838ff0e4d26b7491f90bc03d1bc5977a19ee27",
+};
+
+pub const ALL: [&Vector; 7] = [&A, &B, &B2, &B8, &C, &D, &F];
+
+/// A package of another length, 100 bytes, as SMACCMPilot's first test program made it: BASE_KEY, salt
+/// 284920, id 0, counter 1, "This is a message from uav!" and spaces.
+pub const E: &str = "0000000000000001ebe4ac2de3de6b5bcb839fc70eeee5d934e8a423644bedbb40ce7ec5b6a6f8315f339ba74547a4a07652a6fd2bc61d8543bcebb34aca9ba1a339413c132632d479f6d62523e3aacd3efc2a7e61197230d1be0b3cf34da279e157602e";
+
+/// What default options give: a key of zeros, salt 0, id 0, counter 1, a message of zeros.
+pub const G: &str = "00000000000000016e01d930078872bd5b32ec9465fd4798c5a8013459f6b77b83cdf5c5c5ff5fc53e988238b8f6f9c35cea2a2e7c5057aa8f831d167de80d272a17f337f3c7980da719b1ec38997d3e2610ac6ef193a88203e6166efe30b92e";
+
+/// The draft with epochs, which nothing ever sent: BASE_KEY, BASE_SALT, counter 1, epoch 2, id 5, the
+/// message of B.
+pub const X: &str = "0000000100020005a14759aa93e9ec5f2c4661f969383db8162c728a7fffd4ad6bf0bef56313d3cdf2983005b952ea8f86d1e128b250f55e6ad79d54fe6d8e99e9a32545b8642014679d772e6285f3c91b612754e592c73b5848bea6035d7f03";
+
+/// A, B and C as frames.
+pub const FRAMES: [(&Vector, &str); 3] = [
+    (
+        &A,
+        "7e0000000007000000011e564fc09797b659232affaf90d4d6a901a76c716b412c55b8ab86300ed7f6d6f26ace8351c521a0fee333dbc1b28c0ee314555b8640651214373d4f02ea6a1a6a8f96393d9dcff3b0744aecd80c24e9dee55d246101af2e7e",
+    ),
+    (
+        &B,
+        "7e00000000050000000145e319580c02b68eeb344b9a13b781e138c73ffe71c05a645e81a45b12615afe0e03eace7807658aad83c9d52836a10cce2b30ebe8cdd5918f7c5c58d9a81365a8b3b27a46dc6add6803ae92fc13d418f602ab7731464e6d5c7e",
+    ),
+    (
+        &C,
+        "7e000000000500007c5c7c5e5a3c7c5e67ba5971dbaaf4da825e141b0689b72e4ed7ff70a53917ee19e7a844156c7c5c3b9100089ecf602c8d02515add60216850751da1c205fd2596aba6e73793e06924bf6e15ef797c5e3344c1c07877fa397c5ca8e18f1154b77e",
+    ),
+];
+
+/// The answer of a radio to a request for its status, as a frame, and as GCS_RADIO with sequence 0.
+pub const STATUS: &str = "42c82803e87e2303de00010002000300040005007c02bc0320";
+pub const STATUS_FRAME: &str = "7e0142c82803e87c5e2303de00010002000300040005007c5c02bc03207e";
+pub const GCS_RADIO: &str = "fe09004d00af01000500c87e0028233967";

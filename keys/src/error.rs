@@ -1,0 +1,60 @@
+//! What can be wrong with a key file. No text here shows what is in it but ids and names.
+
+use std::{io, path::PathBuf};
+
+use crate::file::MAX_STATIONS;
+
+/// Why a key file is not used, or not written. Whoever wrote or chose it is at fault.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum KeyFileError {
+    /// The file cannot be read or written.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Not the shape of a key file.
+    #[error("line {line}: {what}")]
+    Syntax {
+        /// Which line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// A variable of Keys.mk is missing.
+    #[error("{0} is missing")]
+    Missing(&'static str),
+    /// A header that this version does not know.
+    #[error("the header is not `id-counter`, the only one that is known here")]
+    UnknownHeader,
+    /// A key is not 16 bytes.
+    #[error("the key of sender {0} is not 16 bytes, as 32 hexadecimal digits")]
+    BadKey(u32),
+    /// A key of zeros only.
+    #[error("the key of sender {0} is all zeros")]
+    AllZero(u32),
+    /// A key that anybody can look up.
+    #[error("the key of sender {0} is a published example: make fresh ones")]
+    Published(u32),
+    /// Two senders with one id.
+    #[error("id {0} is given twice")]
+    IdTwice(u32),
+    /// A vehicle and a station with one key: what the one seals, the other would take for its own.
+    #[error("the vehicle and station {0} have the same key")]
+    VehicleKeyShared(u32),
+    /// Two stations with one key: each could speak as the other.
+    #[error("stations {0} and {1} have the same key")]
+    StationKeyShared(u32, u32),
+    /// No station, or more than are sensible.
+    #[error("{0} stations: 1 to {MAX_STATIONS} are possible")]
+    StationCount(usize),
+    /// There is no such station.
+    #[error("there is no station {0}")]
+    NoStation(u32),
+    /// The operating system gives no random bytes.
+    #[error("no random bytes: {0}")]
+    Random(getrandom::Error),
+}

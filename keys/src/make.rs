@@ -1,0 +1,33 @@
+//! Fresh keys from the operating system's random generator.
+
+use zeroize::Zeroizing;
+
+use crate::error::KeyFileError;
+use crate::file::{Exceptions, KeyFile, Sender};
+
+impl KeyFile {
+    /// Random keys and salts for a vehicle with id 0 and stations with ids from 1.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyFileError::StationCount`], [`KeyFileError::Random`].
+    pub fn generate(stations: usize) -> Result<Self, KeyFileError> {
+        let vehicle = fresh(0)?;
+        // One more than are possible is enough to be refused.
+        let ids = (1..).take(stations.min(crate::MAX_STATIONS + 1));
+        let senders = ids.map(fresh).collect::<Result<Vec<_>, _>>()?;
+        Self::checked(vehicle, senders, Exceptions::default())
+    }
+}
+
+fn fresh(id: u32) -> Result<Sender, KeyFileError> {
+    let mut key = Zeroizing::new([0; 16]);
+    getrandom::fill(&mut *key).map_err(KeyFileError::Random)?;
+    let mut salt = [0; 4];
+    getrandom::fill(&mut salt).map_err(KeyFileError::Random)?;
+    Ok(Sender {
+        id,
+        key,
+        salt: u32::from_be_bytes(salt),
+    })
+}

@@ -1,0 +1,42 @@
+//! The constants compile, and are those of the file: both ends of the example link.
+
+use mavlink_commsec::{Opener, Sealer};
+use mavseal_keys::{KeyFile, Who};
+
+use crate::{KEYS_MK, PUBLISHED};
+
+#[allow(missing_docs)]
+mod vehicle {
+    include!("vehicle.rs");
+}
+
+#[allow(missing_docs)]
+mod station {
+    include!("station.rs");
+}
+
+/// The files beside this one are what a build script would write.
+#[test]
+fn files_are_what_is_made() {
+    let file = KeyFile::from_keys_mk(KEYS_MK, PUBLISHED).expect("a key file");
+    let made = |who| file.constants(who).expect("a sender");
+    assert_eq!(*made(Who::Vehicle), include_str!("vehicle.rs"));
+    assert_eq!(*made(Who::Station(5)), include_str!("station.rs"));
+}
+
+/// With them, a vehicle and a station hear each other.
+#[test]
+fn ends_hear_each_other() {
+    let ends = [
+        (&vehicle::OWN, &station::PEERS),
+        (&station::OWN, &vehicle::PEERS),
+    ];
+    for (own, peers) in ends {
+        let mut sealer: Sealer = Sealer::new(own.prepare().expect("a key"), own.id);
+        let mut opener = Opener::<1>::of(peers, |_| 0).expect("there is room");
+        let package = sealer.seal(&[7; 80]).expect("a counter is left");
+        let opened = opener.open(package.as_bytes()).expect("permitted");
+        assert_eq!((opened.sender(), opened.message()), (own.id, &[7; 80]));
+    }
+    assert_eq!([vehicle::OWN.id.0, station::OWN.id.0], [7, 5]);
+}

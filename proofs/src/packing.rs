@@ -1,0 +1,245 @@
+//! P1: packing splits nothing, and loses nothing that fits.
+
+use core::time::Duration;
+
+use mavlink_commsec::{Message, PackError, Packer, UnpackError, packets};
+
+/// P1: of the packets given to a packer, those that are whole and fit into a message come out of its
+/// messages again, whole, unchanged and in order; every other one is refused with the reason and counted;
+/// behind the last packet of a message there are zeros alone. `polls` says whether the packer is asked for
+/// what is due after each packet. Returns how many messages there were.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn packed(packer: &mut Packer, size: usize, given: &[(&[u8], Duration)], polls: bool) -> usize {
+    let mut messages = Vec::new();
+    let mut fitting = Vec::new();
+    let mut refused = 0;
+    for (packet, now) in given {
+        match packer.push(packet, *now) {
+            Ok(message) => {
+                messages.extend(message);
+                assert!(packet.len() <= size);
+                fitting.push(*packet);
+            }
+            Err(PackError::TooLong(length)) => {
+                assert_eq!(length, packet.len());
+                assert!(length > size);
+                refused += 1;
+            }
+            Err(_) => {
+                assert!(!is_whole(packet));
+                refused += 1;
+            }
+        }
+        if polls {
+            messages.extend(packer.poll(*now));
+        }
+    }
+    messages.extend(packer.flush());
+    assert_eq!(packer.flush(), None);
+    assert_eq!(packer.refused(), refused);
+    let mut expected = fitting.into_iter();
+    for message in &messages {
+        let mut end = 0;
+        for packet in packets(message) {
+            let packet = packet.expect("a packet");
+            assert_eq!(Some(packet), expected.next());
+            assert_eq!(packet, &message[end..end + packet.len()]);
+            end += packet.len();
+        }
+        assert!(end > 0 && end <= size);
+        assert!(message[end..].iter().all(|byte| *byte == 0));
+    }
+    assert_eq!(expected.next(), None);
+    messages.len()
+}
+
+/// Whether the length of a packet of MAVLink 1 or 2 is the one that it announces.
+fn is_whole(packet: &[u8]) -> bool {
+    let announced = match packet {
+        [0xFE, length, ..] => 8 + usize::from(*length),
+        [0xFD, length, 0, ..] => 12 + usize::from(*length),
+        [0xFD, length, 1, ..] => 25 + usize::from(*length),
+        _ => return false,
+    };
+    packet.len() == announced
+}
+
+/// P1's other side: any message is unpacked without a panic; the packets in it do not overlap, and with
+/// what is zero between them they are all of it, or there is an error, which is the last. How many
+/// packets there are.
+///
+/// # Errors
+///
+/// What is wrong behind them.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn unpacked(message: &Message) -> Result<usize, UnpackError> {
+    let mut found = packets(message);
+    let (mut end, mut count) = (0, 0);
+    let zeros_to = |end: usize, offset: usize| {
+        assert!(end <= offset && offset <= message.len());
+        assert!(message[end..offset].iter().all(|byte| *byte == 0));
+    };
+    loop {
+        match found.next() {
+            None => {
+                zeros_to(end, message.len());
+                return Ok(count);
+            }
+            Some(Ok(packet)) => {
+                let offset = packet.as_ptr() as usize - message.as_ptr() as usize;
+                zeros_to(end, offset);
+                assert!(is_whole(packet));
+                end = offset + packet.len();
+                count += 1;
+            }
+            Some(Err(error)) => {
+                zeros_to(end, error.offset);
+                assert!(message[error.offset] != 0);
+                assert_eq!(found.next(), None);
+                return Err(error);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use mavlink_commsec::OLD_VEHICLE_SIZE;
+    use proptest::prelude::*;
+
+    /// A packet, whole or not; ids are small, so that there are heartbeats.
+    fn packet() -> impl Strategy<Value = Vec<u8>> {
+        let content = proptest::collection::vec(any::<u8>(), 0..=255);
+        let length = prop_oneof![9 => 0..75_usize, 1 => 0..256_usize];
+        (0..20_u8, 0..3_u8, length, content).prop_map(|(kind, id, length, mut content)| {
+            content.resize(length, 0x5A);
+            let length = length as u8;
+            let mut packet = match kind {
+                0..10 => [&[0xFE, length, 7, 1, 1, id][..], &content, &[1, 2]].concat(),
+                10..17 => [
+                    &[0xFD, length, 0, 0, 7, 1, 1, id, 0, 0][..],
+                    &content,
+                    &[1, 2],
+                ]
+                .concat(),
+                _ => [
+                    &[0xFD, length, 1, 0, 7, 1, 1, id, 0, 0][..],
+                    &content,
+                    &[9; 15],
+                ]
+                .concat(),
+            };
+            match kind {
+                8 => packet.truncate(packet.len() - 1),
+                9 => packet.push(0),
+                _ => {}
+            }
+            packet
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn p1_random(
+            given in proptest::collection::vec((packet(), 0..100_u64), 0..30),
+            old: bool,
+            polls: bool,
+        ) {
+            let mut now = Duration::ZERO;
+            let patience = Duration::from_millis(120);
+            let given: Vec<(&[u8], Duration)> = given
+                .iter()
+                .map(|(packet, wait)| {
+                    now += Duration::from_millis(*wait);
+                    (&packet[..], now)
+                })
+                .collect();
+            let (mut packer, size) = if old {
+                (Packer::for_old_vehicles(patience), OLD_VEHICLE_SIZE)
+            } else {
+                (Packer::new(patience), 80)
+            };
+            packed(&mut packer, size, &given, polls);
+        }
+
+        #[test]
+        fn p1_any_message(
+            bytes in proptest::collection::vec(
+                prop_oneof![8 => Just(0), 2 => Just(0xFE), 2 => Just(0xFD), 6 => 0..20_u8, 1 => any::<u8>()],
+                80,
+            ),
+        ) {
+            let _ = unpacked(&bytes.try_into().expect("80 bytes"));
+        }
+    }
+
+    /// Every length of a packet behind every other.
+    #[test]
+    fn p1_every_length() {
+        let whole = |length: usize| {
+            let mut packet = vec![0xFE, length as u8, 1, 1, 1, 30];
+            packet.resize(length + 8, 0xEE);
+            packet
+        };
+        for first in 0..=80 {
+            for second in 0..=80 {
+                let [one, two] = [whole(first), whole(second)];
+                let given = [(&one[..], Duration::ZERO), (&two[..], Duration::ZERO)];
+                let mut packer = Packer::new(Duration::from_secs(1));
+                let messages = packed(&mut packer, 80, &given, false);
+                let fit = [one.len(), two.len()].map(|length| length <= 80);
+                let expected = match fit {
+                    [false, false] => 0,
+                    [true, true] if one.len() + two.len() > 80 => 2,
+                    _ => 1,
+                };
+                assert_eq!(messages, expected);
+            }
+        }
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+
+    /// A MAVLink 1 packet of `N` bytes with any content.
+    fn any_packet<const N: usize>() -> [u8; N] {
+        let mut packet: [u8; N] = kani::any();
+        packet[0] = 0xFE;
+        packet[1] = (N - 8) as u8;
+        packet
+    }
+
+    fn check<const A: usize, const B: usize>(expected: usize) {
+        let (one, two) = (any_packet::<A>(), any_packet::<B>());
+        let mut packer = Packer::new(Duration::from_millis(kani::any::<u16>().into()));
+        let now = || Duration::from_millis(kani::any::<u16>().into());
+        let polls = kani::any();
+        let given = [(&one[..], now()), (&two[..], now())];
+        let messages = packed(&mut packer, 80, &given, polls);
+        kani::cover!(messages == expected && !polls, "as many as are needed");
+        kani::cover!(messages == 2, "one for each");
+    }
+
+    /// Two that fill a message.
+    #[kani::proof]
+    #[kani::unwind(82)]
+    fn p1_two_fit() {
+        check::<40, 40>(1);
+    }
+
+    /// Two that do not fit into one.
+    #[kani::proof]
+    #[kani::unwind(82)]
+    fn p1_two_do_not_fit() {
+        check::<40, 41>(2);
+    }
+}
