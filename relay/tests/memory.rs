@@ -169,7 +169,6 @@ fn reservations_grow_with_the_time_since_the_restart() {
         timer.set(running);
         let floor = kept.floor();
         kept.reserve(floor).expect("stored");
-        drop(kept);
         let kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
         assert_eq!(kept.floor(), floor.saturating_add(ahead));
     }
@@ -194,7 +193,6 @@ fn the_end_of_time_is_told() {
     let mut flash = Flash::<2>::default();
     let mut kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
     kept.reserve(Timestamp::MAX).expect("stored");
-    drop(kept);
     let error = Kept::new(&mut flash, REGION, || 0).err();
     assert_eq!(error, Some(KeptError::Exhausted));
     assert_eq!(

@@ -343,7 +343,7 @@ impl World {
             // Old and new alike.
             let back = self.chance.below(count).min(self.chance.below(count));
             let frame = self.recorded[(count - 1 - back) as usize].clone();
-            self.nodes[to].receive(self.now, &self.key, &frame, back % 16 == 0);
+            self.nodes[to].receive(self.now, &self.key, &frame, back.is_multiple_of(16));
             self.nodes[to].fails();
         }
     }

@@ -222,7 +222,7 @@ impl<const PAGES: usize> ReadNorFlash for Flash<PAGES> {
             *byte = match word {
                 Word::Erased => 0xFF,
                 Word::Bad => return Err(Failure::Ecc),
-                Word::Weak(_) if self.draw() % 16 == 0 => return Err(Failure::Ecc),
+                Word::Weak(_) if self.draw().is_multiple_of(16) => return Err(Failure::Ecc),
                 Word::Written(bytes) | Word::Weak(bytes) => {
                     bytes.get(at % WORD_SIZE).copied().unwrap_or_default()
                 }

@@ -168,6 +168,8 @@ fn lints() -> Result<()> {
         "-p",
         "mavlink-commsec",
         "-p",
+        "mavseal-store",
+        "-p",
         "mavseal-relay",
     ];
     cmd!(

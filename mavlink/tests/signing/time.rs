@@ -147,9 +147,9 @@ fn frames_in_the_window_slew_a_clock_as_far_as_a_crystal_drifts() {
             moved += before.abs_diff(end.ticks());
             let off = end.ticks() as i64 - expected as i64;
             assert_eq!(off.signum(), ahead.signum());
-            assert!(off.unsigned_abs() <= minute * 60 * SECOND >> Clock::CRYSTAL);
+            assert!(off.unsigned_abs() <= (minute * 60 * SECOND) >> Clock::CRYSTAL);
         }
-        assert_eq!(moved, 3600 * SECOND >> Clock::CRYSTAL);
+        assert_eq!(moved, (3600 * SECOND) >> Clock::CRYSTAL);
     }
 }
 
