@@ -41,7 +41,8 @@ impl Authentic<'_> {
 /// A frame to act on: signed with the key, for this link, inside the window, and newer than every
 /// frame accepted before.
 ///
-/// Made by [`Replay::admit`] and [`Streams::admit`](crate::Streams::admit) alone, and not copied, so that it is acted on once.
+/// Made by [`Replay::admit`] and [`Streams::admit`](crate::Streams::admit) alone, and not copied, so that
+/// it is acted on once.
 #[derive(Debug)]
 pub struct Verified<'a>(Authentic<'a>);
 

@@ -1,4 +1,5 @@
-//! S3: the profile `Hmac` is HMAC-SHA256, down to the calls of the compression function.
+//! S3: the profile `Hmac` is HMAC-SHA256, `Standard` SHA-256 of key and frame, down to the calls of the
+//! compression function.
 
 use mavlink_signing::{KEY_SIZE, Tag};
 

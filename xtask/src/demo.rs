@@ -132,13 +132,7 @@ impl Demo {
     fn boot(elf: &Path) -> Result<Self> {
         let key = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips/demo/demo.key");
         let key = fs::read(&key).with_context(|| key.display().to_string())?;
-        let (send, log) = mpsc::channel();
-        // The receiver is gone only when nobody wants to know any more.
-        let mut machine = Machine::boot(elf, 2, move |line| drop(send.send(line.to_string())))?;
-        let [plain, secure]: [TcpStream; 2] = std::mem::take(&mut machine.serial)
-            .try_into()
-            .ok()
-            .context("two serial ports")?;
+        let (machine, [plain, secure], log) = Machine::boot_between(elf)?;
         let mut demo = Self {
             machine,
             plain: Port::new(plain)?,

@@ -6,6 +6,7 @@ use std::{
     net::{Ipv4Addr, TcpListener, TcpStream},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
+    sync::mpsc::{self, Receiver},
     thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
@@ -118,6 +119,18 @@ impl Machine {
             machine.serial.push(stream);
         }
         Ok(machine)
+    }
+
+    /// Boots an ELF file with both of its UARTs connected; gives them too, and the lines of its log.
+    ///
+    /// # Errors
+    /// As [`Machine::boot`].
+    pub(crate) fn boot_between(elf: &Path) -> Result<(Machine, [TcpStream; 2], Receiver<String>)> {
+        let (send, log) = mpsc::channel();
+        // The receiver is gone only when nobody wants to know any more.
+        let mut machine = Machine::boot(elf, 2, move |line| drop(send.send(line.to_string())))?;
+        let ports = std::mem::take(&mut machine.serial).try_into();
+        Ok((machine, ports.ok().context("two serial ports")?, log))
     }
 
     /// Boots an ELF file with its UARTs where `serial` says, in QEMU's words.

@@ -146,20 +146,9 @@ fn pymavlink(
     ];
     report.fail_unless("pymavlink", checks);
     let version = bench::version(python, "pymavlink")?;
-    report.rows.extend([
-        row(
-            ("pymavlink", &version),
-            "live, vehicle to ground",
-            vehicle.sent.len(),
-            (frames, ground.signed),
-        ),
-        row(
-            ("pymavlink", &version),
-            "live, ground to vehicle",
-            vehicle.came.len(),
-            (passed, verified.0),
-        ),
-    ]);
+    let peer = ("pymavlink", version.as_str());
+    let both_ways = [(frames, ground.signed), (passed, verified.0)];
+    report.rows.extend(rows(peer, &vehicle, both_ways));
     Ok(())
 }
 
@@ -219,20 +208,9 @@ fn mavproxy(bench: &mut Bench, peers: &Peers, passphrase: &str, report: &mut Rep
     report.fail_unless("MAVProxy", checks);
     let packets = packets(&link)?;
     let version = bench::version(python, "MAVProxy")?;
-    report.rows.extend([
-        row(
-            ("MAVProxy", &version),
-            "live, vehicle to ground",
-            vehicle.sent.len(),
-            (packets, packets),
-        ),
-        row(
-            ("MAVProxy", &version),
-            "live, ground to vehicle",
-            vehicle.came.len(),
-            (came, verified.0),
-        ),
-    ]);
+    let peer = ("MAVProxy", version.as_str());
+    let both_ways = [(packets, packets), (came, verified.0)];
+    report.rows.extend(rows(peer, &vehicle, both_ways));
     Ok(())
 }
 
@@ -243,21 +221,25 @@ fn packets(link: &str) -> Result<usize> {
     Ok(count.parse()?)
 }
 
-fn row(
+/// What a peer and the vehicle said to each other: downwards, then upwards, frames and how many agreed.
+fn rows(
     (peer, version): (&str, &str),
-    direction: &str,
-    messages: usize,
-    (frames, agreed): (usize, usize),
-) -> Row {
-    Row {
+    vehicle: &Vehicle,
+    [down, up]: [(usize, usize); 2],
+) -> [Row; 2] {
+    let row = |direction: &str, kinds: &BTreeMap<_, _>, (frames, agreed)| Row {
         peer: peer.into(),
         version: version.into(),
         direction: direction.into(),
-        messages,
+        messages: kinds.len(),
         frames,
         agreed,
         differences: Vec::new(),
-    }
+    };
+    [
+        row("live, vehicle to ground", &vehicle.sent, down),
+        row("live, ground to vehicle", &vehicle.came, up),
+    ]
 }
 
 #[cfg(test)]

@@ -2,7 +2,6 @@
 
 use std::{
     io::{BufRead, BufReader, Write},
-    net::TcpStream,
     path::Path,
     process::{Child, Command, Stdio},
     sync::mpsc::{self, Receiver},
@@ -30,13 +29,7 @@ pub(super) struct Bench {
 
 impl Bench {
     pub(super) fn boot(python: &Path, elf: &Path) -> Result<Self> {
-        let (send, log) = mpsc::channel();
-        // The receiver is gone only when nobody wants to know any more.
-        let mut machine = Machine::boot(elf, 2, move |line| drop(send.send(line.to_string())))?;
-        let [plain, secure]: [TcpStream; 2] = std::mem::take(&mut machine.serial)
-            .try_into()
-            .ok()
-            .context("two serial ports")?;
+        let (machine, [plain, secure], log) = Machine::boot_between(elf)?;
         // It speaks when its clock is set and its ports are open.
         let hello = log.recv_timeout(PATIENCE);
         let hello = hello.context("the firmware says nothing")?;
