@@ -27,6 +27,17 @@ pub fn decode<'a, T: Arbitrary<'a>>(bytes: &'a [u8]) -> Option<T> {
     T::arbitrary_take_rest(Unstructured::new(bytes)).ok()
 }
 
+/// A part of an input, from the front of its bytes: as `arbitrary` reads it, without the price of its
+/// guard against recursion, which a target that is run a million times a second feels.
+pub trait Take<'input>: Sized {
+    /// The part; what was read is taken off.
+    ///
+    /// # Errors
+    ///
+    /// There are too few bytes.
+    fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self>;
+}
+
 /// What `input!` defines.
 pub trait Input: Encode + Debug {
     /// How the input in `bytes` shows itself.
@@ -45,9 +56,16 @@ pub trait Input: Encode + Debug {
     }
 }
 
-/// Writes a value as `arbitrary` reads numbers: least significant byte first.
-macro_rules! encode_numbers {
+/// Reads and writes a value as `arbitrary` does numbers: least significant byte first.
+macro_rules! numbers {
     ($($number:ty),*) => {$(
+        impl<'input> Take<'input> for $number {
+            fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self> {
+                let taken = bytes.bytes(size_of::<Self>())?;
+                Ok(Self::from_le_bytes(taken.try_into().expect("as many")))
+            }
+        }
+
         impl Encode for $number {
             fn encode(&self, bytes: &mut Vec<u8>) {
                 bytes.extend(self.to_le_bytes());
@@ -55,7 +73,13 @@ macro_rules! encode_numbers {
         }
     )*};
 }
-encode_numbers!(i8, u8, i16, u16, i64);
+numbers!(i8, u8, i16, u16, i64);
+
+impl<'input> Take<'input> for bool {
+    fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self> {
+        Ok(u8::take(bytes)? & 1 == 1)
+    }
+}
 
 impl Encode for bool {
     fn encode(&self, bytes: &mut Vec<u8>) {
@@ -63,9 +87,27 @@ impl Encode for bool {
     }
 }
 
+impl<'input, T: Take<'input> + Copy + Default, const N: usize> Take<'input> for [T; N] {
+    fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self> {
+        let mut items = [T::default(); N];
+        for item in &mut items {
+            *item = T::take(bytes)?;
+        }
+        Ok(items)
+    }
+}
+
 impl<T: Encode, const N: usize> Encode for [T; N] {
     fn encode(&self, bytes: &mut Vec<u8>) {
         self.iter().for_each(|item| item.encode(bytes));
+    }
+}
+
+/// Only as the last field: as many as there are bytes for.
+impl<'input, T: Arbitrary<'input>> Take<'input> for Vec<T> {
+    fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self> {
+        let rest = std::mem::replace(bytes, Unstructured::new(&[]));
+        Self::arbitrary_take_rest(rest)
     }
 }
 
@@ -77,6 +119,13 @@ impl<T: Encode> Encode for Vec<T> {
             item.encode(bytes);
         }
         false.encode(bytes);
+    }
+}
+
+/// Only as the last field: all the rest.
+impl<'input: 'a, 'a> Take<'input> for &'a [u8] {
+    fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self> {
+        bytes.bytes(bytes.len())
     }
 }
 
@@ -191,9 +240,21 @@ macro_rules! input {
         }
     ) => {
         $(#[$about])*
-        #[derive(arbitrary::Arbitrary, Clone, Debug)]
+        #[derive(Clone, Debug)]
         pub struct $name $(<$life>)? {
             $($(#[$doc])* pub $field: $kind,)*
+        }
+
+        impl<'input $(: $life, $life)?> $crate::input::Take<'input> for $name $(<$life>)? {
+            fn take(bytes: &mut arbitrary::Unstructured<'input>) -> arbitrary::Result<Self> {
+                Ok(Self { $($field: $crate::input::Take::take(bytes)?,)* })
+            }
+        }
+
+        impl<'input $(: $life, $life)?> arbitrary::Arbitrary<'input> for $name $(<$life>)? {
+            fn arbitrary(bytes: &mut arbitrary::Unstructured<'input>) -> arbitrary::Result<Self> {
+                $crate::input::Take::take(bytes)
+            }
         }
 
         impl $(<$life>)? $crate::input::Encode for $name $(<$life>)? {

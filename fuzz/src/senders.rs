@@ -52,6 +52,10 @@ struct Naive {
     first: Timestamp,
     room: usize,
     seen: Vec<(Stream, Timestamp)>,
+    /// The streams that had their first frame from this end.
+    own: Vec<Stream>,
+    /// The links on which a stream of this end's has no row.
+    closed: Vec<u8>,
 }
 
 impl Naive {
@@ -81,9 +85,18 @@ impl Naive {
     }
 
     fn send(&mut self, stream: Stream, stamped: Timestamp) {
-        if self.takes(stream) && self.has_room(stream) {
-            self.seen.push((stream, stamped));
+        if !self.takes(stream) {
+            return;
         }
+        let rows = self.rows();
+        if rows.iter().all(|(of, _)| *of != stream) {
+            if rows.len() >= self.room || self.own.len() >= self.room / 2 {
+                self.closed.push(stream.link_id);
+                return;
+            }
+            self.own.push(stream);
+        }
+        self.seen.push((stream, stamped));
     }
 
     fn takes(&self, stream: Stream) -> bool {
@@ -92,7 +105,11 @@ impl Naive {
 
     fn has_room(&self, stream: Stream) -> bool {
         let rows = self.rows();
-        rows.len() < self.room || rows.iter().any(|(of, _)| *of == stream)
+        let closed = match self.closed.first() {
+            None => false,
+            Some(first) => *first == stream.link_id || self.closed.iter().any(|it| it != first),
+        };
+        (rows.len() < self.room && !closed) || rows.iter().any(|(of, _)| *of == stream)
     }
 
     /// Each stream, and when the newest of its frames was stamped.
@@ -136,6 +153,8 @@ fn run<const N: usize>(input: &Arrivals) {
         first,
         room: N,
         seen: Vec::new(),
+        own: Vec::new(),
+        closed: Vec::new(),
     };
     let mut now = first;
     for arrival in &input.arrivals {

@@ -23,18 +23,22 @@ pub const fn step(crc: u16, byte: u8) -> u16 {
 /// each other by accident (MAVLink guide, "Packet Serialization", CRC_EXTRA).
 #[must_use]
 pub fn checksum(covered: &[u8], crc_extra: u8) -> u16 {
-    step(fold(covered), crc_extra)
+    #[cfg(feature = "fast-checksum")]
+    let crc = by_tables(covered);
+    #[cfg(not(feature = "fast-checksum"))]
+    let crc = fold(covered);
+    step(crc, crc_extra)
 }
 
-/// The checksum of `covered`, byte by byte: no table.
-#[cfg(not(feature = "fast-checksum"))]
-fn fold(covered: &[u8]) -> u16 {
+/// The checksum of `covered` alone, byte by byte: no table.
+#[must_use]
+pub fn fold(covered: &[u8]) -> u16 {
     covered.iter().fold(INITIAL, |crc, &byte| step(crc, byte))
 }
 
-/// The checksum of `covered`, 16 bytes at a time: 8 KB of tables.
+/// The same, 16 bytes at a time: 8 KB of tables.
 #[cfg(feature = "fast-checksum")]
-fn fold(covered: &[u8]) -> u16 {
+fn by_tables(covered: &[u8]) -> u16 {
     use crcxx::crc16::{Crc, LookupTable256xN, catalog::CRC_16_MCRF4XX};
     static TABLES: Crc<LookupTable256xN<16>> = Crc::<LookupTable256xN<16>>::new(&CRC_16_MCRF4XX);
     TABLES.compute(covered)

@@ -58,8 +58,9 @@ impl Links {
 /// the original has accepted.
 ///
 /// Only an accepted frame takes a row, or one that this end [sent](Streams::sent), and no row is given up:
-/// when all are taken, further streams are refused. So `N` counts the components that this end signs for
-/// too. Whoever has the key can fill the table, and so can equipment that is signed for; nobody else.
+/// when all are taken, further streams are refused. Whoever has the key can fill the table; nobody else.
+/// What this end sends takes half of it at most: equipment that is signed for, whatever it says that it is,
+/// leaves the other half to peers.
 #[derive(Debug)]
 pub struct Streams<const N: usize> {
     links: Links,
@@ -67,12 +68,16 @@ pub struct Streams<const N: usize> {
     /// What is fresh in every stream, whatever its row says.
     first: Fresh,
     rows: Vec<Row, N>,
+    /// Where this end sent frames of streams that have no row.
+    closed: Option<Links>,
 }
 
 #[derive(Debug)]
 struct Row {
     stream: Stream,
     fresh: Fresh,
+    /// Whether it was taken for a frame that this end sent.
+    own: bool,
 }
 
 impl<const N: usize> Admit for Streams<N> {
@@ -113,6 +118,7 @@ impl<const N: usize> Streams<N> {
             window,
             first: Fresh::from(first),
             rows: Vec::new(),
+            closed: None,
         }
     }
 
@@ -126,6 +132,13 @@ impl<const N: usize> Streams<N> {
     #[must_use]
     pub const fn window(&self) -> Window {
         self.window
+    }
+
+    /// The links of which no new stream is taken, since this end sent more streams than have a row: one of
+    /// them, reflected, could not be told from a peer's. `None` if there are none.
+    #[must_use]
+    pub const fn closed(&self) -> Option<Links> {
+        self.closed
     }
 
     /// Every stream of which a frame was accepted or sent, and the timestamp of the newest: up to it all
@@ -154,7 +167,8 @@ impl<const N: usize> Streams<N> {
         match self.row_mut(stream) {
             Some(row) => row.fresh = fresh,
             None => {
-                let pushed = self.rows.push(Row { stream, fresh });
+                let own = false;
+                let pushed = self.rows.push(Row { stream, fresh, own });
                 pushed.map_err(|_| VerifyError::StreamsFull)?;
             }
         }
@@ -178,14 +192,18 @@ impl<const N: usize> Streams<N> {
         if !fresh.contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }
-        if row.is_none() && self.rows.is_full() {
+        let closed = self.closed.is_some_and(|it| it.take(stamp.link_id));
+        if row.is_none() && (closed || self.rows.is_full()) {
             return Err(VerifyError::StreamsFull);
         }
         Ok(())
     }
 
-    /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back:
-    /// as a replay, or, if there was no row left for it, as of a new stream.
+    /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back: as
+    /// a replay, or, if there was no row left for it, as of a new stream.
+    ///
+    /// Rows are left until half of the table is taken in this way. After that, no new stream is taken of
+    /// the link that this end signs for.
     ///
     /// A peer may then sign for the link id that this end signs for, as ground stations do that take
     /// over the link id they hear (pymavlink's with link id 0). An unsigned frame, and one of a link
@@ -199,25 +217,40 @@ impl<const N: usize> Streams<N> {
         }
         let stream = Stream::of(frame.header(), stamp);
         let fresh = Fresh::after(stamp.timestamp);
-        match self.row_mut(stream) {
-            Some(row) => row.fresh = row.fresh.max(fresh),
-            // In a full table its stream has no row for as long as the table is, so it is refused.
-            None => drop(self.rows.push(Row { stream, fresh })),
+        if let Some(row) = self.row_mut(stream) {
+            row.fresh = row.fresh.max(fresh);
+            return;
         }
+        let own = true;
+        let left = self.rows.iter().filter(|row| row.own).count() < N / 2;
+        if !left || self.rows.push(Row { stream, fresh, own }).is_err() {
+            self.close(stamp.link_id);
+        }
+    }
+
+    /// Takes no new stream of `link_id` from now on.
+    fn close(&mut self, link_id: u8) {
+        self.closed = match self.closed {
+            None => Some(Links::Only(link_id)),
+            Some(closed) if closed.take(link_id) => Some(closed),
+            // An end signs for one link, as a rule. If not, none of them is safe.
+            Some(_) => Some(Links::Any),
+        };
     }
 
     fn row_mut(&mut self, stream: Stream) -> Option<&mut Row> {
         self.rows.iter_mut().find(|row| row.stream == stream)
     }
 
-    /// For proofs: with these rows.
+    /// For proofs: with these rows, each with whether it is this end's own, and these links closed.
     #[cfg(kani)]
     #[must_use]
-    pub fn holding(mut self, rows: &[(Stream, Timestamp)]) -> Self {
-        for (stream, last) in rows {
-            let (stream, fresh) = (*stream, Fresh::after(*last));
-            drop(self.rows.push(Row { stream, fresh }));
+    pub fn holding(mut self, rows: &[(Stream, Timestamp, bool)], closed: Option<Links>) -> Self {
+        for (stream, last, own) in rows {
+            let (stream, fresh, own) = (*stream, Fresh::after(*last), *own);
+            drop(self.rows.push(Row { stream, fresh, own }));
         }
+        self.closed = closed;
         self
     }
 }

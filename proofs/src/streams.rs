@@ -6,9 +6,9 @@ use mavlink_signing::{
 };
 
 /// R2, one step from any state: an authentic frame is accepted if and only if it is of a link that is
-/// taken, in the window, newer than every accepted one of its stream, and has a row or a free one;
-/// otherwise the error names the first that is wrong. An accepted frame changes the row of its stream
-/// alone; a refused one changes nothing; no row is ever lost.
+/// taken, in the window, newer than every accepted one of its stream, and has a row or a free one on a
+/// link that is not closed; otherwise the error names the first that is wrong. An accepted frame changes
+/// the row of its stream alone; a refused one changes nothing; no row is ever lost, and no link closed.
 ///
 /// `first` is the first timestamp that is fresh in a new stream. Returns the verdict.
 ///
@@ -32,7 +32,7 @@ pub fn step<P: Profile, const N: usize>(
     let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     let authentic = authenticate(received, key).expect("signed with this key");
 
-    let before = rows(streams);
+    let (before, closed) = (rows(streams), streams.closed());
     let expected = specified(streams, &before, first, header, stamp, now);
     assert_eq!(streams.check(&authentic, now), expected);
     let verdict = streams.admit(authentic, now).map(drop);
@@ -56,12 +56,14 @@ pub fn step<P: Profile, const N: usize>(
     let count = |rows: &[Option<_>; N]| rows.iter().flatten().count();
     let new_stream = verdict.is_ok() && last_of(&before, ours).is_none();
     assert_eq!(count(&after), count(&before) + usize::from(new_stream));
+    assert_eq!(streams.closed(), closed);
     verdict
 }
 
 /// R2, of what this end sends: it is refused when it comes back, whether or not there was a row for it;
-/// no other row changes, and none is lost. As rows do not go back ([`step`]) and a full table stays full,
-/// it is refused later too. A frame without signature changes nothing. Returns why it is refused.
+/// no other row changes, and none is lost. If there was none, its link is closed; a link that was closed
+/// stays so. As rows do not go back ([`step`]), it is refused later too. A frame without signature
+/// changes nothing. Returns why it is refused.
 ///
 /// # Panics
 ///
@@ -79,16 +81,27 @@ pub fn reflected<P: Profile, const N: usize>(
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
 
-    let before = rows(streams);
+    let (before, closed) = (rows(streams), streams.closed());
     streams.sent(unsigned);
-    assert_eq!(rows(streams), before);
+    assert_eq!((rows(streams), streams.closed()), (before, closed));
     streams.sent(frame);
     let after = rows(streams);
     let ours = stream(header, stamp);
+    let without_row = takes(streams.links(), stamp) && last_of(&after, ours).is_none();
+    match (closed, streams.closed()) {
+        (before, after) if before == after => {
+            assert!(!without_row || after.is_some_and(|it| takes(it, stamp)));
+        }
+        (None, Some(Links::Only(link_id))) => assert!(without_row && link_id == stamp.link_id),
+        (Some(Links::Only(link_id)), Some(Links::Any)) => {
+            assert!(without_row && link_id != stamp.link_id);
+        }
+        _ => panic!("a link was closed, or opened, that must not be"),
+    }
     for (old, new) in before.iter().zip(&after) {
         let expected = match old {
             // What is of a link that is not taken needs no row.
-            _ if !takes(streams, stamp) => *old,
+            _ if !takes(streams.links(), stamp) => *old,
             Some((stream, last)) if *stream == ours => {
                 Some((ours, (*last).max(Some(stamp.timestamp))))
             }
@@ -125,8 +138,8 @@ fn rows<const N: usize>(streams: &Streams<N>) -> Rows<N> {
     rows
 }
 
-fn takes<const N: usize>(streams: &Streams<N>, stamp: Stamp) -> bool {
-    match streams.links() {
+fn takes(links: Links, stamp: Stamp) -> bool {
+    match links {
         Links::Any => true,
         Links::Only(link_id) => stamp.link_id == link_id,
     }
@@ -146,7 +159,7 @@ fn specified<const N: usize>(
     stamp: Stamp,
     now: Timestamp,
 ) -> Result<(), VerifyError> {
-    if !takes(streams, stamp) {
+    if !takes(streams.links(), stamp) {
         return Err(VerifyError::WrongLink(stamp.link_id));
     }
     let (ticks, now) = (stamp.timestamp.ticks(), now.ticks());
@@ -164,6 +177,9 @@ fn specified<const N: usize>(
         }
         Some(_) => Ok(()),
         None if rows.iter().flatten().count() == N => Err(VerifyError::StreamsFull),
+        None if streams.closed().is_some_and(|it| takes(it, stamp)) => {
+            Err(VerifyError::StreamsFull)
+        }
         None => Ok(()),
     }
 }
@@ -222,6 +238,38 @@ mod twins {
         assert_eq!(verdict(2, 3), Err(VerifyError::Replayed));
         assert_eq!(verdict(2, 4), Ok(()));
     }
+
+    /// What this end sends leaves half of the table to peers, on other links than its own.
+    #[test]
+    fn r2_own_half() {
+        let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let mut streams = Streams::<4>::new(Links::Any, Window::SEED);
+        let header = |system_id| Header {
+            system_id,
+            ..HEARTBEAT
+        };
+        let stamp = |link_id, ticks| Stamp {
+            link_id,
+            timestamp: at(ticks),
+        };
+        for system_id in 1..9 {
+            let refusal = reflected(&mut streams, &key, header(system_id), stamp(1, 5), at(9));
+            let has_row = system_id <= 2;
+            assert_eq!(refusal == VerifyError::Replayed, has_row);
+            assert_eq!(refusal == VerifyError::StreamsFull, !has_row);
+            assert_eq!(streams.closed(), (!has_row).then_some(Links::Only(1)));
+        }
+        let mut verdict = |link_id, system_id, ticks| {
+            let (header, stamp) = (header(system_id), stamp(link_id, ticks));
+            step(&mut streams, Timestamp::ZERO, &key, header, stamp, at(9))
+        };
+        assert_eq!(verdict(1, 200, 6), Err(VerifyError::StreamsFull));
+        assert_eq!(verdict(1, 2, 6), Ok(()));
+        assert_eq!(verdict(2, 200, 6), Ok(()));
+        assert_eq!(verdict(2, 201, 6), Ok(()));
+        assert_eq!(verdict(2, 202, 6), Err(VerifyError::StreamsFull));
+    }
 }
 
 #[cfg(kani)]
@@ -233,24 +281,36 @@ mod harness {
     use mavlink_signing::Window;
 
     /// Any table of two with `TAKEN` rows in use, and any first timestamp: how many rows there are is
-    /// then known to the solver.
-    fn any_streams<const TAKEN: usize>() -> (Streams<2>, Timestamp) {
-        let links = if kani::any() {
-            Links::Any
-        } else {
-            Links::Only(kani::any())
+    /// then known to the solver. The third is how many rows are taken for frames that this end sent.
+    fn any_streams<const TAKEN: usize>() -> (Streams<2>, Timestamp, usize) {
+        let any_links = || {
+            if kani::any() {
+                Links::Any
+            } else {
+                Links::Only(kani::any())
+            }
         };
+        let links = any_links();
+        let closed = kani::any::<bool>().then(any_links);
         let window = Window {
             past: kani::any(),
             ahead: kani::any(),
         };
         let first = any_timestamp();
-        let rows: [_; TAKEN] =
-            core::array::from_fn(|_| (stream(any_header(), any_stamp()), any_timestamp()));
+        let rows: [_; TAKEN] = core::array::from_fn(|_| {
+            (
+                stream(any_header(), any_stamp()),
+                any_timestamp(),
+                kani::any(),
+            )
+        });
         if let [one, other] = rows.as_slice() {
             kani::assume(one.0 != other.0);
         }
-        (Streams::resume(links, window, first).holding(&rows), first)
+        (
+            Streams::resume(links, window, first).holding(&rows, closed),
+            first,
+        )
     }
 
     fn any_header() -> Header {
@@ -263,16 +323,12 @@ mod harness {
 
     fn steps<const TAKEN: usize>() {
         let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let (mut streams, first) = any_streams::<TAKEN>();
+        let (mut streams, first, _) = any_streams::<TAKEN>();
         let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
         let verdict = step(&mut streams, first, &key, header, stamp, now);
         kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
-        if TAKEN == 2 {
-            kani::cover!(verdict == Err(VerifyError::StreamsFull), "full");
-        } else {
-            assert_ne!(verdict, Err(VerifyError::StreamsFull));
-        }
+        kani::cover!(verdict == Err(VerifyError::StreamsFull), "full, or closed");
     }
 
     #[kani::proof]
@@ -295,9 +351,11 @@ mod harness {
 
     fn comes_back<const TAKEN: usize>() {
         let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let (mut streams, _) = any_streams::<TAKEN>();
+        let (mut streams, _, own) = any_streams::<TAKEN>();
         let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
         let refusal = reflected(&mut streams, &key, header, stamp, now);
+        let taken = streams.rows().count() > TAKEN;
+        assert!(!taken || own == 0, "half of two rows");
         kani::cover!(refusal == VerifyError::Replayed, "replayed");
         kani::cover!(refusal == VerifyError::TooOld, "too old");
         kani::cover!(matches!(refusal, VerifyError::WrongLink(_)), "wrong link");

@@ -63,26 +63,24 @@ fn specified(
     let Some(crc_extra) = crc_extra(id) else {
         return Err(VerifyError::UnknownMessage(id));
     };
-    let end = frame.len();
-    let crc_at = end - SIGNATURE_SIZE - CHECKSUM_SIZE;
+    let crc_at = frame.len() - SIGNATURE_SIZE - CHECKSUM_SIZE;
     let crc = u16::from_le_bytes([frame[crc_at], frame[crc_at + 1]]);
     if checksum(&frame[1..crc_at], crc_extra) != crc {
         return Err(VerifyError::BadChecksum);
     }
-    let expected = tag(&frame[..end - TAG_SIZE]);
-    for i in 0..TAG_SIZE {
-        if frame[end - TAG_SIZE + i] != expected[i] {
-            return Err(VerifyError::BadTag);
-        }
+    let expected = tag(&frame[..frame.len() - TAG_SIZE]);
+    if frame.last_chunk() != Some(&expected) {
+        return Err(VerifyError::BadTag);
     }
-    let link_id = frame[end - SIGNATURE_SIZE];
+    let [link_id, a, b, c, d, e, f, ..] = *frame
+        .last_chunk::<SIGNATURE_SIZE>()
+        .expect("long enough for a signature");
     if link_id != receiver.link_id {
         return Err(VerifyError::WrongLink(link_id));
     }
-    let mut ticks = 0;
-    for i in 0..6 {
-        ticks |= u64::from(frame[end - SIGNATURE_SIZE + 1 + i]) << (8 * i);
-    }
+    let ticks = [f, e, d, c, b, a]
+        .into_iter()
+        .fold(0, |ticks, byte| ticks << 8 | u64::from(byte));
     if ticks > now.ticks() && ticks - now.ticks() > receiver.window.ahead {
         return Err(VerifyError::FromFuture);
     }
