@@ -169,9 +169,9 @@ impl<T> Run<T> {
 pub(super) fn sources(root: &Path) -> Result<String> {
     let mut metadata = MetadataCommand::new();
     let metadata = metadata.manifest_path(root.join("Cargo.toml")).exec()?;
-    let mut text = fingerprint(&metadata, "mavseal-proofs", Depth::Proof)?;
+    let mut text = fingerprint(&metadata, "mavseal-proofs", Depth::Fuzz)?;
     for file in rust_files(&root.join("fuzz/src"))? {
-        text += &meaning(&file, Depth::Proof)?;
+        text += &meaning(&file, Depth::Fuzz)?;
     }
     Ok(hash_of(&text))
 }

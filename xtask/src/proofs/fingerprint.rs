@@ -17,8 +17,29 @@ use serde_json::{Value, json};
 pub(crate) enum Depth {
     /// What a harness runs: no comments, no tests.
     Proof,
-    /// What a twin runs as well: no comments.
+    /// What a fuzz target runs: no comments, no tests, no harnesses.
+    Fuzz,
+    /// What a twin runs: no comments, no harnesses.
     Tests,
+}
+
+impl Depth {
+    /// The same for what `self` uses: its tests are not run with it.
+    const fn of_dependencies(self) -> Self {
+        match self {
+            Self::Proof => Self::Proof,
+            Self::Fuzz | Self::Tests => Self::Fuzz,
+        }
+    }
+
+    /// Whether an item with this attribute has no influence.
+    fn leaves_out(self, attribute: &str) -> bool {
+        match attribute {
+            "[cfg(test)]" => self != Self::Tests,
+            "[cfg(kani)]" => self != Self::Proof,
+            _ => false,
+        }
+    }
 }
 
 /// The hash of everything that a result about `package` depends on: its sources and manifest, those
@@ -39,9 +60,8 @@ pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> R
     };
     add("workspace", workspace(root)?.to_string().as_bytes());
     for id in closure(metadata, package, depth)? {
-        // The tests of what it uses are not run with it.
         let ours = metadata[&id].name.as_str() == package;
-        let depth = if ours { depth } else { Depth::Proof };
+        let depth = if ours { depth } else { depth.of_dependencies() };
         let package = &metadata[&id];
         if !metadata.workspace_members.contains(&id) {
             add(&package.name, package.version.to_string().as_bytes());
@@ -51,7 +71,7 @@ pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> R
         let folder = manifest.parent().context("a manifest lies in a folder")?;
         add(&package.name, declared(package).to_string().as_bytes());
         for part in ["src", "tests"] {
-            if part == "tests" && depth == Depth::Proof {
+            if part == "tests" && depth != Depth::Tests {
                 continue;
             }
             for file in rust_files(&folder.join(part))? {
@@ -156,7 +176,7 @@ fn declared(package: &cargo_metadata::Package) -> Value {
     json!([dependencies, package.features, package.metadata])
 }
 
-/// A source file without what has no influence: layout, comments, and tests if they are not run.
+/// A source file without what has no influence: layout, comments, tests and harnesses that are not run.
 ///
 /// # Errors
 /// If it cannot be read or is no Rust.
@@ -170,8 +190,8 @@ pub(crate) fn meaning(file: &Path, depth: Depth) -> Result<String> {
     Ok(meaning)
 }
 
-/// Appends `tokens`, with the attributes left out that are documentation or, for a proof, mark
-/// tests, and then what they mark.
+/// Appends `tokens`, with the attributes left out that are documentation or mark what is not run, and
+/// then what they mark.
 fn write(tokens: TokenStream, depth: Depth, out: &mut String) {
     let mut tokens = tokens.into_iter().peekable();
     while let Some(token) = tokens.next() {
@@ -183,7 +203,7 @@ fn write(tokens: TokenStream, depth: Depth, out: &mut String) {
                     tokens.next();
                     continue;
                 }
-                if text == "[cfg(test)]" && depth == Depth::Proof && inner.is_none() {
+                if depth.leaves_out(&text) && inner.is_none() {
                     skip_item(&mut tokens);
                     continue;
                 }
@@ -228,7 +248,13 @@ mod tests {
         let same = "/// Other.\nfn a() {\n  // why\n  b(1)\n}\nfn d() {}";
         let proof = |text| meaning(text, Depth::Proof);
         assert_eq!(proof(text), proof(same));
+        assert_eq!(meaning(text, Depth::Fuzz), meaning(same, Depth::Fuzz));
         assert_ne!(meaning(text, Depth::Tests), meaning(same, Depth::Tests));
+        let text = "fn a() {}\n#[cfg(kani)]\n#[must_use]\npub fn k(x: u8) -> u8 { x }\nfn d() {}";
+        let same = "fn a() {} fn d() {}";
+        assert_eq!(meaning(text, Depth::Tests), meaning(same, Depth::Tests));
+        assert_eq!(meaning(text, Depth::Fuzz), meaning(same, Depth::Fuzz));
+        assert_ne!(proof(text), proof(same));
         for other in [
             "fn a() { b(2) } fn d() {}",
             "fn a() { b[1] } fn d() {}",
