@@ -5,8 +5,8 @@ use core::fmt;
 use mavlink_signing::ParseError;
 
 use crate::field::{KEY_SIZE, PACKAGE_SIZE};
+use crate::header::{EpochCounter, SenderId};
 use crate::hx;
-use crate::key::SenderId;
 
 /// Why bytes are not a key. The caller is at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,11 +45,16 @@ impl From<KeyError> for PermitError {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum SealError {
-    /// All counters of the key have been used; only a new key helps.
+    /// All counters of the key, or of the epoch, have been used; only a new key helps, or a new epoch.
     CounterExhausted,
     /// The cipher's hardware failed. The counter is used up, the message is not lost.
     Cipher,
 }
+
+/// A sender cannot begin: all epochs of the key have been used; only a new key helps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EpochError;
 
 /// Why a received package is refused. The receiver remembers nothing of it but, for
 /// [`BadTag`](Self::BadTag), that one more was refused.
@@ -68,6 +73,13 @@ pub enum OpenError {
         counter: u32,
         /// The counter of the last package accepted of that sender.
         last: u32,
+    },
+    /// The same of a package with an epoch.
+    StaleInEpoch {
+        /// Epoch and counter that the package claims.
+        place: EpochCounter,
+        /// Those of the last package accepted of that sender.
+        last: EpochCounter,
     },
     /// So many packages with a wrong tag have come that no further one is tried; only a new key helps.
     KeyWornOut,
@@ -166,6 +178,12 @@ impl fmt::Display for SealError {
     }
 }
 
+impl fmt::Display for EpochError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("all epochs of the key are used up")
+    }
+}
+
 impl fmt::Display for OpenError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -177,6 +195,10 @@ impl fmt::Display for OpenError {
             Self::Stale { counter, last } => write!(
                 f,
                 "counter {counter} is not newer than {last}, the last accepted"
+            ),
+            Self::StaleInEpoch { place, last } => write!(
+                f,
+                "counter {place} is not newer than {last}, the last accepted"
             ),
             Self::KeyWornOut => f.write_str("too many wrong tags: the key is worn out"),
             Self::BadTag => f.write_str("bad tag: another key or a forgery"),
@@ -237,6 +259,7 @@ impl fmt::Display for RadioError {
 
 impl core::error::Error for KeyError {}
 impl core::error::Error for SealError {}
+impl core::error::Error for EpochError {}
 impl core::error::Error for OpenError {}
 impl core::error::Error for FrameError {}
 impl core::error::Error for DecodeError {}
