@@ -15,8 +15,10 @@ use crate::hx;
 pub enum KeyError {
     /// Not 16 bytes, but this many.
     WrongLength(usize),
-    /// All bytes are zero: what storage that was never written, or was erased, reads as.
+    /// All bytes are zero: what memory that was never written reads as.
     AllZero,
+    /// All bytes are 0xFF: what erased flash reads as.
+    Erased,
 }
 
 /// Why senders cannot be permitted. The caller is at fault; nothing has changed.
@@ -66,6 +68,8 @@ pub enum OpenError {
     WrongLength(usize),
     /// Nobody has permitted this sender.
     UnknownSender(SenderId),
+    /// A counter, or an epoch, of ones only, which no sender uses: nothing would be newer.
+    NoCounter(SenderId),
     /// Not newer than the last package accepted of its sender: a replay, a duplicate, reordered, or a
     /// sender that has started to count anew. Whoever sent it need not have the key.
     Stale {
@@ -97,6 +101,8 @@ pub enum PackError {
     TooLong(usize),
     /// The bytes do not begin with a whole packet of MAVLink 1 or 2.
     Parse(ParseError),
+    /// A packet of MAVLink 2, for a vehicle that knows none and would lose what is behind it.
+    OldVehicle,
     /// More bytes than the packet in front of them: this many.
     Trailing(usize),
 }
@@ -154,6 +160,7 @@ impl fmt::Display for KeyError {
                 write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
             }
             Self::AllZero => f.write_str("a key of zeros only is no key"),
+            Self::Erased => f.write_str("a key of 0xFF only is erased flash"),
         }
     }
 }
@@ -192,6 +199,9 @@ impl fmt::Display for OpenError {
                 "a package has {PACKAGE_SIZE} bytes, this one has {length}"
             ),
             Self::UnknownSender(sender) => write!(f, "sender {sender} is not permitted"),
+            Self::NoCounter(sender) => {
+                write!(f, "sender {sender} has used up its counters, or its epochs")
+            }
             Self::Stale { counter, last } => write!(
                 f,
                 "counter {counter} is not newer than {last}, the last accepted"
@@ -213,6 +223,7 @@ impl fmt::Display for PackError {
                 write!(f, "a packet of {length} bytes does not fit into a message")
             }
             Self::Parse(error) => error.fmt(f),
+            Self::OldVehicle => f.write_str("a MAVLink 2 packet for a vehicle of MAVLink 1"),
             Self::Trailing(length) => write!(f, "{length} bytes behind the packet"),
         }
     }

@@ -187,6 +187,8 @@ pub trait HeaderFormat: Copy + Eq + fmt::Debug + sealed::Sealed {
     fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self;
     /// Its 8 bytes on the wire.
     fn wire(self) -> [u8; HEADER_SIZE];
+    /// Whether its place is behind all that a sender uses.
+    fn is_end(self) -> bool;
     /// That its place is not after `last`.
     fn stale(self, last: Self::Place) -> OpenError;
 }
@@ -238,6 +240,10 @@ impl HeaderFormat for Header {
         self.to_wire()
     }
 
+    fn is_end(self) -> bool {
+        self.counter == u32::MAX
+    }
+
     fn stale(self, last: u32) -> OpenError {
         OpenError::Stale {
             counter: self.counter,
@@ -283,6 +289,10 @@ impl HeaderFormat for EpochHeader {
 
     fn wire(self) -> [u8; HEADER_SIZE] {
         self.to_wire()
+    }
+
+    fn is_end(self) -> bool {
+        self.place.counter == u32::MAX || self.place.epoch == u16::MAX
     }
 
     fn stale(self, last: EpochCounter) -> OpenError {

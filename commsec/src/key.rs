@@ -31,8 +31,8 @@ impl<C: Cipher, H: HeaderFormat> Key<C, H> {
     ///
     /// # Errors
     ///
-    /// [`KeyError::WrongLength`] unless there are 16 bytes; [`KeyError::AllZero`] for storage that
-    /// nobody has written a key to.
+    /// [`KeyError::WrongLength`] unless there are 16 bytes; [`KeyError::AllZero`] and [`KeyError::Erased`] for
+    /// storage that nobody has written a key to.
     pub fn new(bytes: &[u8], salt: u32) -> Result<Self, KeyError> {
         let key: &[u8; KEY_SIZE] = bytes
             .try_into()
@@ -40,6 +40,9 @@ impl<C: Cipher, H: HeaderFormat> Key<C, H> {
         // Looks at every byte, so that time says nothing about where the first other one is.
         if key.iter().fold(0, |all, byte| all | byte) == 0 {
             return Err(KeyError::AllZero);
+        }
+        if key.iter().fold(0xFF, |all, byte| all & byte) == 0xFF {
+            return Err(KeyError::Erased);
         }
         Ok(Self {
             cipher: C::new(key),
@@ -92,11 +95,12 @@ pub struct Credential<I = SenderId> {
 }
 
 impl<I: Sender> Credential<I> {
-    /// The key, prepared for use.
+    /// The key, prepared for use: once for one [`Sealer`](crate::Sealer) of the whole device, however many
+    /// lines it has. Two of one credential would use every nonce twice, and no type can see it.
     ///
     /// # Errors
     ///
-    /// [`KeyError::AllZero`].
+    /// [`KeyError::AllZero`], [`KeyError::Erased`].
     pub fn prepare<C: Cipher>(&self) -> Result<Key<C, I::Header>, KeyError> {
         Key::new(&self.key, self.salt)
     }

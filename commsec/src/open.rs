@@ -12,21 +12,24 @@ use crate::key::{Credential, Key};
 use crate::pack::Packets;
 use crate::package::Parts;
 
-/// How many wrong tags a key survives, unless [`Opener::with_limit`] says otherwise: 2^24.
+/// How many wrong tags a key survives within a run, unless [`Opener::with_limit`] says otherwise: 2^24. The
+/// count is kept in memory, and is 0 again after a restart.
 ///
 /// One forged package passes with at most 6 chances in 2^64: the tag has 64 bits, and what is
 /// authenticated is a polynomial of degree 6 in the hash key, 5 blocks of message and one of lengths.
 /// 2^24 of them pass with fewer than one chance in 2^37. Each that passes would tell of the hash key and
 /// make the next easier, which is why NIST SP 800-38D, appendix C, asks for a bound with tags so short.
-/// Whoever only wants to stop the link has to send junk for three days: 57,600 baud carry 58 packages a
-/// second.
+///
+/// It is also how somebody without a key ends a link until the restart: three days at 57,600 baud, which carry
+/// 58 packages a second, but minutes on a fast network if the processor keeps up. There choose between a
+/// greater limit and a shorter life of keys; [`Opener::failed_opens`] tells long before.
 pub const FAILED_OPENS_LIMIT: u32 = 1 << 24;
 
 /// A package that was sealed with the key of a permitted sender, and is newer than all accepted of
 /// him before.
 ///
 /// Made by [`Opener::open`] alone and not copied, so that it is acted on once. The message is wiped when
-/// it is dropped.
+/// it is dropped; what a move leaves of it on the stack is not.
 pub struct Opened<H = Header> {
     header: H,
     message: Zeroizing<Message>,
@@ -88,8 +91,9 @@ struct Guarded<C, H> {
 
 /// Opens packages of up to `N` permitted senders, each package once and each sender's in order.
 ///
-/// It is not copied: a copy would accept again what the original has accepted. Forgetting it does the
-/// same: see [`resume`](Self::resume).
+/// One for the whole device, however many lines it has. It is not copied: a copy would accept again what
+/// the original has accepted. Forgetting it does the same: see [`resume`](Self::resume). It remembers in
+/// memory alone; whoever acts on a message before a mark above it is stored may act again after a restart.
 pub struct Opener<const N: usize, C: Cipher = AesGcm, H: HeaderFormat = Header> {
     keys: Vec<Guarded<C, H>, N>,
     senders: LinearMap<H::Id, Row<H::Place>, N>,
@@ -156,6 +160,9 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// Permits `senders`, all of whom seal with `key`, each with the counter up to which everything of
     /// his is refused: for a receiver that kept marks over a restart.
     ///
+    /// It is the last one refused: one less than a mark above all that was accepted. A mark stored ahead
+    /// costs as many genuine packages after a restart.
+    ///
     /// # Errors
     ///
     /// As [`permit`](Self::permit).
@@ -219,8 +226,8 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     ///
     /// # Errors
     ///
-    /// [`OpenError::WrongLength`], [`OpenError::UnknownSender`], [`OpenError::Stale`] or
-    /// [`OpenError::StaleInEpoch`], [`OpenError::KeyWornOut`], [`OpenError::BadTag`], looked for in this order, which is
+    /// [`OpenError::WrongLength`], [`OpenError::UnknownSender`], [`OpenError::NoCounter`],
+    /// [`OpenError::Stale`] or [`OpenError::StaleInEpoch`], [`OpenError::KeyWornOut`], [`OpenError::BadTag`], looked for in this order, which is
     /// SMACCMPilot's. Nothing has changed then, except that a wrong tag is counted.
     pub fn open(&mut self, package: &[u8]) -> Result<Opened<H>, OpenError> {
         let Parts {
@@ -230,6 +237,9 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         } = Parts::<H>::of(package)?;
         let unknown = OpenError::UnknownSender(header.sender().into());
         let row = self.senders.get_mut(&header.sender()).ok_or(unknown)?;
+        if header.is_end() {
+            return Err(OpenError::NoCounter(header.sender().into()));
+        }
         if header.place() <= row.last {
             return Err(header.stale(row.last));
         }

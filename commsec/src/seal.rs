@@ -17,7 +17,8 @@ const END: u32 = u32::MAX;
 /// The epoch that is never sent: when it is next, the key is used up.
 const END_OF_EPOCHS: u16 = u16::MAX;
 
-/// Seals messages as one sender, each under a counter that was never used before.
+/// Seals messages as one sender, each under a counter that was never used before. One for the whole
+/// device, however many lines it has.
 ///
 /// It owns its key and is not copied: two sealers with one key, salt and id would use one nonce twice,
 /// which gives away both messages and lets anybody forge. Nothing here can see what an earlier run has
@@ -30,7 +31,8 @@ pub struct Sealer<C: Cipher = AesGcm, H: HeaderFormat = Header> {
 }
 
 impl<C: Cipher> Sealer<C> {
-    /// A sender with a key that was never used before, not even in an earlier run: it counts from 1.
+    /// A sender with a key that was never used before, not even in an earlier run: it counts from 1. With a
+    /// key that is part of an image this is right once in the key's life, and never again.
     #[must_use]
     pub const fn new(key: Key<C>, id: SenderId) -> Self {
         Self::resume(key, id, FIRST_COUNTER)
@@ -39,7 +41,8 @@ impl<C: Cipher> Sealer<C> {
     /// A sender that counts from `first`, or from 1 if that is greater: for a key that was used before.
     ///
     /// `first` must be greater than every counter used before the restart, which takes a mark in
-    /// storage that is written ahead of use. Receivers accept the jump. With 2^32 - 1 it seals nothing.
+    /// storage that is written ahead of use, and that lives as long as the key: whoever erases it makes a new
+    /// key. Receivers accept the jump. With 2^32 - 1, and so for every mark beyond 32 bits, it seals nothing.
     #[must_use]
     pub const fn resume(key: Key<C>, id: SenderId, first: u32) -> Self {
         let next = if first < FIRST_COUNTER {

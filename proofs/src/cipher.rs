@@ -103,6 +103,9 @@ pub trait Specified: HeaderFormat {
     /// The 8 bytes on the wire.
     fn write(id: Self::Id, place: Self::Place) -> [u8; HEADER_SIZE];
 
+    /// Whether no sender uses `place`, since nothing would be after it.
+    fn never_used(place: Self::Place) -> bool;
+
     /// That `place` is not after `last`, if it is not.
     fn is_stale(place: Self::Place, last: Self::Place) -> Option<OpenError>;
 }
@@ -123,6 +126,10 @@ impl Specified for Header {
 
     fn write(id: SenderId, counter: u32) -> [u8; HEADER_SIZE] {
         (u64::from(id.0) << 32 | u64::from(counter)).to_be_bytes()
+    }
+
+    fn never_used(counter: u32) -> bool {
+        counter == 0xFFFF_FFFF
     }
 
     fn is_stale(counter: u32, last: u32) -> Option<OpenError> {
@@ -150,6 +157,10 @@ impl Specified for EpochHeader {
         let counter = u64::from(place.counter) << 32;
         let epoch = u64::from(place.epoch) << 16;
         (counter | epoch | u64::from(id.0)).to_be_bytes()
+    }
+
+    fn never_used(EpochCounter { epoch, counter }: EpochCounter) -> bool {
+        epoch == 0xFFFF || counter == 0xFFFF_FFFF
     }
 
     fn is_stale(place: EpochCounter, last: EpochCounter) -> Option<OpenError> {

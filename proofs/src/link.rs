@@ -228,6 +228,9 @@ pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
                 let sealed = sealer.seal(&message(lines.len()));
                 assert_eq!(sealed.is_ok(), place.is_some());
                 if let (Ok(package), Some(place)) = (sealed, place) {
+                    // What it was sealed under stands in front of it.
+                    let header = package.as_bytes().first_chunk().expect("96 bytes");
+                    assert_eq!(H::read(*header), (credential::<H>(from).id, place));
                     let number = H::number(place);
                     assert!(
                         naive.nonces.insert((salt(from), from, number)),

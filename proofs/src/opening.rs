@@ -62,7 +62,7 @@ pub struct Row<I, P> {
 type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Place>>; 2];
 
 /// O1, one step from any state: a package is accepted if and only if it has 96 bytes, its sender is
-/// permitted, it is newer than the last accepted of him, his key has not had too many wrong tags, and
+/// permitted, its counter (and epoch) is one that senders use, it is newer than the last accepted of him, his key has not had too many wrong tags, and
 /// its tag is right; otherwise the error names the first that is wrong. What is accepted is then the
 /// last of its sender, and the same again is refused; of other senders nothing changes. What is refused
 /// changes nothing, but a wrong tag is counted, once, for everybody who has that key.
@@ -90,22 +90,24 @@ pub fn step<C: Cipher, H: Specified>(
     let verdict = opener.open(package).map(drop);
     assert_eq!(verdict, expected);
 
-    let mut after = before;
-    if let Some((sender, place)) = header_of::<H>(package) {
-        for row in after.iter_mut().flatten() {
-            let his = row.sender == sender;
-            if his && verdict.is_ok() {
-                row.last = place;
-            }
-            let has_key = his || (shared && permitted::<H>(&before, sender).is_some());
-            if has_key && verdict == Err(OpenError::BadTag) {
-                row.failed += 1;
-            }
+    let header = header_of::<H>(package);
+    let known = header.is_some_and(|(sender, _)| permitted::<H>(&before, sender).is_some());
+    let after = before.map(|row| {
+        let (mut row, (sender, place)) = row.zip(header)?;
+        let his = row.sender == sender;
+        if his && verdict.is_ok() {
+            row.last = place;
         }
-    }
+        let has_key = his || (shared && known);
+        if has_key && verdict == Err(OpenError::BadTag) {
+            row.failed += 1;
+        }
+        Some(row)
+    });
+    let after = if header.is_some() { after } else { before };
     assert_eq!(rows(opener), after);
 
-    if let (Ok(()), Some((_, place))) = (verdict, header_of::<H>(package)) {
+    if let (Ok(()), Some((_, place))) = (verdict, header) {
         let again = opener.open(package).map_err(Some);
         assert_eq!(again.map(drop), Err(H::is_stale(place, place)));
         assert_eq!(rows(opener), after);
@@ -115,23 +117,21 @@ pub fn step<C: Cipher, H: Specified>(
 
 /// What the receiver remembers of each sender.
 fn rows<C: Cipher, H: Specified>(opener: &Opener<2, C, H>) -> Rows<H> {
-    let mut rows = [None; 2];
-    for (slot, (sender, last)) in rows.iter_mut().zip(opener.senders()) {
+    let mut senders = opener.senders();
+    [(); 2].map(|()| {
+        let (sender, last) = senders.next()?;
         let failed = opener.failed_opens(sender).expect("permitted");
-        *slot = Some(Row {
+        Some(Row {
             sender,
             last,
             failed,
-        });
-    }
-    rows
+        })
+    })
 }
 
 fn permitted<H: Specified>(rows: &Rows<H>, sender: H::Id) -> Option<Row<H::Id, H::Place>> {
-    rows.iter()
-        .flatten()
-        .find(|row| row.sender == sender)
-        .copied()
+    let [one, two] = rows.map(|row| row.filter(|row| row.sender == sender));
+    one.or(two)
 }
 
 /// The header of what has the length of a package: who, and which place.
@@ -153,6 +153,9 @@ fn specified<H: Specified>(
     let (sender, place) = header_of::<H>(package).ok_or(wrong_length)?;
     let unknown = OpenError::UnknownSender(sender.into());
     let Row { last, failed, .. } = permitted::<H>(rows, sender).ok_or(unknown)?;
+    if H::never_used(place) {
+        return Err(OpenError::NoCounter(sender.into()));
+    }
     if let Some(stale) = H::is_stale(place, last) {
         return Err(stale);
     }
@@ -171,18 +174,19 @@ fn specified<H: Specified>(
 /// and header; and it comes with the header's sender and counter. The cipher decrypts before its verdict,
 /// and all the same nothing comes out with a wrong tag.
 ///
-/// `at` is an index below 80 at which the message is looked at.
+/// `at` is an index below 80 at which the message is looked at. Returns whether it came out.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
+#[must_use]
 pub fn comes_out<H: Specified>(
     salt: u32,
     last: H::Place,
     verdict: Verdict,
     package: &[u8; PACKAGE_SIZE],
     at: usize,
-) {
+) -> bool {
     let key = Key::<Told, H>::new(&Told::key(verdict), salt).expect("a key");
     let (sender, place) = header_of::<H>(package).expect("96 bytes");
     let mut opener = Opener::<1, Told, H>::new();
@@ -190,9 +194,9 @@ pub fn comes_out<H: Specified>(
     permitted.expect("there is room");
 
     let opened = opener.open(package);
-    let accepted = verdict == Verdict::Right && H::is_stale(place, last).is_none();
+    let accepted = verdict == Verdict::Right && is_newer::<H>(place, last);
     assert_eq!(opened.is_ok(), accepted);
-    let Ok(opened) = opened else { return };
+    let Ok(opened) = opened else { return false };
     assert_eq!(
         (opened.sender(), opened.place(), opened.counter()),
         (sender, place, H::counter(place))
@@ -202,6 +206,12 @@ pub fn comes_out<H: Specified>(
     let nonce = nonce_of::<H>(salt, sender, place);
     let expected = Told::byte(&nonce, sealed.expect("96 bytes"), tag, at);
     assert_eq!(opened.message()[at], expected);
+    true
+}
+
+/// Whether a sender may use `place`, and it is after `last`.
+fn is_newer<H: Specified>(place: H::Place, last: H::Place) -> bool {
+    !H::never_used(place) && H::is_stale(place, last).is_none()
 }
 
 #[cfg(test)]
@@ -295,9 +305,9 @@ mod twins {
                 (false, false) => Verdict::Wrong,
             };
             for at in 0..MESSAGE_SIZE {
-                comes_out::<Header>(salt, last.1, verdict, &package, at);
+                let _ = comes_out::<Header>(salt, last.1, verdict, &package, at);
                 let last = place_of::<EpochHeader>(last);
-                comes_out::<EpochHeader>(salt, last, verdict, &package, at);
+                let _ = comes_out::<EpochHeader>(salt, last, verdict, &package, at);
             }
         }
     }
@@ -364,7 +374,8 @@ mod twins {
         for verdict in [Verdict::Right, Verdict::Wrong, Verdict::Fails] {
             for at in 0..MESSAGE_SIZE {
                 for last in [0, counter - 1, counter, counter + 1] {
-                    comes_out::<Header>(1, last, verdict, &package, at);
+                    let out = comes_out::<Header>(1, last, verdict, &package, at);
+                    assert_eq!(out, last < counter && verdict == Verdict::Right);
                 }
                 let (epoch, counter) = (0x0405, 0x0001_0203);
                 for last in [
@@ -375,7 +386,9 @@ mod twins {
                     place(epoch, counter + 1),
                     place(epoch + 1, 0),
                 ] {
-                    comes_out::<EpochHeader>(1, last, verdict, &package, at);
+                    let out = comes_out::<EpochHeader>(1, last, verdict, &package, at);
+                    let newer = last < place(epoch, counter);
+                    assert_eq!(out, newer && verdict == Verdict::Right);
                 }
             }
         }
@@ -388,25 +401,30 @@ mod harness {
     use crate::model::any_prefix;
     use mavlink_commsec::{EpochHeader, Header};
 
-    /// Two senders with one key or two, and any package; what came of it, and whether the key is shared.
-    fn any_step<H: Specified>() -> (Result<(), OpenError>, bool) {
-        let right = kani::any();
-        let verdict = if right {
-            Verdict::Right
-        } else {
-            Verdict::Wrong
+    /// Any package at two senders, each with a key of his own and a verdict of its own, or with one key.
+    /// Whether the key is shared is known to the solver: the number of keys follows from it.
+    fn any_step<H: Specified>(shared: bool) -> Result<(), OpenError> {
+        let verdict = |right| {
+            if right {
+                Verdict::Right
+            } else {
+                Verdict::Wrong
+            }
         };
-        let key = || Key::<Told, H>::new(&Told::key(verdict), 9).expect("a key");
+        let right: [bool; 2] = kani::any();
+        let key = |which: usize| {
+            Key::<Told, H>::new(&Told::key(verdict(right[which])), 9).expect("a key")
+        };
         let rows: [(u32, u16, u32); 2] = kani::any();
         let [one, two] = rows.map(|(id, epoch, last)| (H::id(id), H::place_of(epoch, last)));
         kani::assume(one.0 != two.0);
-        let (shared, limit): (bool, u32) = (kani::any(), kani::any());
+        let limit = kani::any();
         let mut opener = Opener::<2, Told, H>::with_limit(limit);
         if shared {
-            opener.resume(key(), &[one, two]).expect("there is room");
+            opener.resume(key(0), &[one, two]).expect("there is room");
         } else {
-            opener.resume(key(), &[one]).expect("there is room");
-            opener.resume(key(), &[two]).expect("there is room");
+            opener.resume(key(0), &[one]).expect("there is room");
+            opener.resume(key(1), &[two]).expect("there is room");
         }
         let failed: [u32; 2] = kani::any();
         // No state in which more were counted than are let be: the count stops there.
@@ -414,18 +432,38 @@ mod harness {
         let mut opener = opener.having_failed(&failed);
 
         let bytes: [u8; PACKAGE_SIZE + 1] = kani::any();
-        let verdict = step(&mut opener, limit, shared, any_prefix(&bytes), right);
-        (verdict, shared)
+        let package = any_prefix(&bytes);
+        let second = header_of::<H>(package).is_some_and(|(sender, _)| sender == two.0);
+        let right = right[usize::from(second && !shared)];
+        let verdict = step(&mut opener, limit, shared, package, right);
+        kani::cover!(verdict.is_ok() && second, "accepted of the second");
+        kani::cover!(
+            verdict == Err(OpenError::KeyWornOut) && limit > 0,
+            "worn out"
+        );
+        verdict
     }
 
     #[kani::proof]
     #[kani::unwind(81)]
-    fn o1_step() {
-        let (verdict, shared) = any_step::<Header>();
-        kani::cover!(verdict.is_ok() && shared, "accepted");
-        kani::cover!(verdict == Err(OpenError::BadTag) && shared, "bad tag");
-        kani::cover!(verdict == Err(OpenError::KeyWornOut), "worn out");
+    fn o1_step_own_keys() {
+        covered(any_step::<Header>(false));
+    }
+
+    #[kani::proof]
+    #[kani::unwind(81)]
+    fn o1_step_shared_key() {
+        covered(any_step::<Header>(true));
+    }
+
+    fn covered(verdict: Result<(), OpenError>) {
+        kani::cover!(verdict.is_ok(), "accepted");
+        kani::cover!(verdict == Err(OpenError::BadTag), "bad tag");
         kani::cover!(matches!(verdict, Err(OpenError::Stale { .. })), "stale");
+        kani::cover!(
+            matches!(verdict, Err(OpenError::NoCounter(_))),
+            "no counter"
+        );
         kani::cover!(
             matches!(verdict, Err(OpenError::UnknownSender(_))),
             "unknown"
@@ -436,13 +474,16 @@ mod harness {
     #[kani::proof]
     #[kani::unwind(81)]
     fn o1_step_epoch() {
-        let (verdict, shared) = any_step::<EpochHeader>();
-        kani::cover!(verdict.is_ok() && shared, "accepted");
+        let verdict = any_step::<EpochHeader>(false);
+        kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(verdict == Err(OpenError::BadTag), "bad tag");
-        kani::cover!(verdict == Err(OpenError::KeyWornOut), "worn out");
         kani::cover!(
             matches!(verdict, Err(OpenError::StaleInEpoch { place, last }) if place.counter > last.counter),
             "stale, with a greater counter"
+        );
+        kani::cover!(
+            matches!(verdict, Err(OpenError::NoCounter(_))),
+            "no counter"
         );
         kani::cover!(
             matches!(verdict, Err(OpenError::UnknownSender(_))),
@@ -450,8 +491,8 @@ mod harness {
         );
     }
 
-    /// Any package and verdict; whether the package is newer than the last, and the verdict.
-    fn any_comes_out<H: Specified>() -> (bool, Verdict) {
+    /// Any package, last place and verdict.
+    fn any_comes_out<H: Specified>() {
         let verdict = match kani::any() {
             0_u8 => Verdict::Right,
             1 => Verdict::Wrong,
@@ -461,27 +502,26 @@ mod harness {
         let last = H::place_of(kani::any(), kani::any());
         let at = kani::any();
         kani::assume(at < MESSAGE_SIZE);
-        comes_out::<H>(kani::any(), last, verdict, &package, at);
-        let newer =
-            header_of::<H>(&package).is_some_and(|(_, place)| H::is_stale(place, last).is_none());
-        (newer, verdict)
+        let out = comes_out::<H>(kani::any(), last, verdict, &package, at);
+        let (_, place) = header_of::<H>(&package).expect("96 bytes");
+        let newer = is_newer::<H>(place, last);
+        kani::cover!(out, "accepted");
+        kani::cover!(
+            !out && newer && verdict == Verdict::Wrong,
+            "decrypted and refused"
+        );
+        kani::cover!(!out && !newer && verdict == Verdict::Right, "stale");
     }
 
     #[kani::proof]
     #[kani::unwind(97)]
     fn o2_comes_out() {
-        let (newer, verdict) = any_comes_out::<Header>();
-        kani::cover!(newer && verdict == Verdict::Right, "accepted");
-        kani::cover!(newer && verdict == Verdict::Wrong, "decrypted and refused");
-        kani::cover!(!newer, "stale");
+        any_comes_out::<Header>();
     }
 
     #[kani::proof]
     #[kani::unwind(97)]
     fn o2_comes_out_epoch() {
-        let (newer, verdict) = any_comes_out::<EpochHeader>();
-        kani::cover!(newer && verdict == Verdict::Right, "accepted");
-        kani::cover!(newer && verdict == Verdict::Wrong, "decrypted and refused");
-        kani::cover!(!newer, "stale");
+        any_comes_out::<EpochHeader>();
     }
 }

@@ -178,6 +178,23 @@ fn places_as_numbers() {
     assert_eq!(EpochCounter::from_number(1 << 48), None);
 }
 
+/// Epoch 65,535, which nobody uses, is refused whatever its tag; so is the counter behind the last one.
+#[test]
+fn no_epoch() {
+    for claimed in [place(0xFFFF, 1), place(3, u32::MAX)] {
+        let mut package = hex(vectors::X);
+        let header = EpochHeader {
+            place: claimed,
+            sender: FIVE,
+        };
+        package[..8].copy_from_slice(&header.to_wire());
+        let mut opener = receiver(place(0, 0));
+        let refused = opener.open(&package).map(drop);
+        assert_eq!(refused, Err(OpenError::NoCounter(SenderId(5))));
+        assert_eq!(opener.failed_opens(FIVE), Some(0));
+    }
+}
+
 #[test]
 fn receiver_of_credentials() {
     let credential = |id| Credential {

@@ -23,7 +23,7 @@ fn texts() {
         offset: 9,
         fault: ParseError::Truncated,
     };
-    let texts: [(&dyn Error, &str); 26] = [
+    let texts: [(&dyn Error, &str); 29] = [
         (&CipherError, "the cipher refused"),
         (
             &KeyError::WrongLength(15),
@@ -33,6 +33,15 @@ fn texts() {
         (
             &PermitError::Key(KeyError::AllZero),
             "a key of zeros only is no key",
+        ),
+        (&KeyError::Erased, "a key of 0xFF only is erased flash"),
+        (
+            &OpenError::NoCounter(SenderId(5)),
+            "sender 5 has used up its counters, or its epochs",
+        ),
+        (
+            &PackError::OldVehicle,
+            "a MAVLink 2 packet for a vehicle of MAVLink 1",
         ),
         (&PermitError::NoSender, "a key without a sender"),
         (
