@@ -257,13 +257,20 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         Ok(Opened { header, message })
     }
 
-    /// For proofs: with so many wrong tags counted for each key.
+    /// For proofs: with these keys, each with the wrong tags counted for it, and these senders, each with
+    /// which of the keys is his and what he is refused up to.
     #[cfg(kani)]
     #[must_use]
-    pub fn having_failed(mut self, failed: &[u32]) -> Self {
-        for (guarded, failed) in self.keys.iter_mut().zip(failed) {
-            guarded.failed = *failed;
+    pub fn holding<const K: usize, const S: usize>(
+        mut self,
+        keys: [(Key<C, H>, u32); K],
+        senders: [(H::Id, usize, H::Place); S],
+    ) -> Self {
+        for (key, failed) in keys {
+            drop(self.keys.push(Guarded { key, failed }));
         }
+        let rows = senders.map(|(sender, key, last)| (sender, Row { key, last }));
+        self.senders = rows.into_iter().collect();
         self
     }
 }

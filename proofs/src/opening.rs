@@ -418,18 +418,16 @@ mod harness {
         let rows: [(u32, u16, u32); 2] = kani::any();
         let [one, two] = rows.map(|(id, epoch, last)| (H::id(id), H::place_of(epoch, last)));
         kani::assume(one.0 != two.0);
-        let limit = kani::any();
-        let mut opener = Opener::<2, Told, H>::with_limit(limit);
-        if shared {
-            opener.resume(key(0), &[one, two]).expect("there is room");
-        } else {
-            opener.resume(key(0), &[one]).expect("there is room");
-            opener.resume(key(1), &[two]).expect("there is room");
-        }
-        let failed: [u32; 2] = kani::any();
+        let (limit, failed): (u32, [u32; 2]) = (kani::any(), kani::any());
         // No state in which more were counted than are let be: the count stops there.
         kani::assume(failed.iter().all(|failed| *failed <= limit));
-        let mut opener = opener.having_failed(&failed);
+        let opener = Opener::<2, Told, H>::with_limit(limit);
+        let [one_key, two_key] = [(key(0), failed[0]), (key(1), failed[1])];
+        let mut opener = if shared {
+            opener.holding([one_key], [(one.0, 0, one.1), (two.0, 0, two.1)])
+        } else {
+            opener.holding([one_key, two_key], [(one.0, 0, one.1), (two.0, 1, two.1)])
+        };
 
         let bytes: [u8; PACKAGE_SIZE + 1] = kani::any();
         let package = any_prefix(&bytes);

@@ -2,6 +2,7 @@
 
 use core::time::Duration;
 
+use mavlink_commsec::field::MESSAGE_SIZE;
 use mavlink_commsec::{Message, PackError, Packer, UnpackError, packets};
 
 /// What a packer is told when it is made.
@@ -153,6 +154,57 @@ fn announced(packet: &[u8]) -> Option<usize> {
     }
 }
 
+/// P1, two packets that fit into a message each: the second makes room if and only if there is none for
+/// both; what comes out holds them whole and in order, and zeros behind them.
+///
+/// `at` is an index below 80 at which the messages are looked at. Returns whether they share one.
+///
+/// # Panics
+///
+/// If the property does not hold.
+#[must_use]
+pub fn two_packets(one: &[u8], two: &[u8], at: usize) -> bool {
+    let is_alone = |message: Option<Message>, packet: &[u8]| {
+        let message = message.expect("a message");
+        assert_eq!(message[at], packet.get(at).copied().unwrap_or(0));
+    };
+    let mut packer = Packer::new(Duration::MAX);
+    let pushed = packer.push(one, Duration::ZERO);
+    assert_eq!(pushed, Ok(None));
+    let room = packer
+        .push(two, Duration::ZERO)
+        .expect("it fits into a message");
+    let shared = one.len() + two.len() <= MESSAGE_SIZE;
+    assert_eq!(room.is_none(), shared);
+    if shared {
+        let message = packer.flush().expect("both");
+        let expected = one.get(at).or_else(|| two.get(at - one.len()));
+        assert_eq!(message[at], expected.copied().unwrap_or(0));
+    } else {
+        is_alone(room, one);
+        is_alone(packer.flush(), two);
+    }
+    assert_eq!(packer.flush(), None);
+    shared
+}
+
+/// P1, asking for a message: one comes if and only if the packet that was packed is a HEARTBEAT, or was
+/// packed as long ago as a packet may wait; it holds the packet whole, and zeros behind it.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn asked_later(packet: &[u8], patience: Duration, later: Duration, at: usize) {
+    let mut packer = Packer::new(patience);
+    let pushed = packer.push(packet, Duration::ZERO);
+    assert_eq!(pushed, Ok(None));
+    let message = packer.poll(later);
+    assert_eq!(message.is_some(), is_heartbeat(packet) || later >= patience);
+    if let Some(message) = message {
+        assert_eq!(message[at], packet.get(at).copied().unwrap_or(0));
+    }
+}
+
 /// Whether the length of a packet of MAVLink 1 or 2 is the one that it announces.
 fn is_whole(packet: &[u8]) -> bool {
     announced(packet) == Some(packet.len())
@@ -271,16 +323,30 @@ mod twins {
     }
 
     /// Every length of a packet behind every other.
+    /// A packet of MAVLink 1 that is no HEARTBEAT.
+    fn whole(length: usize) -> Vec<u8> {
+        let mut packet = vec![0xFE, length as u8, 1, 1, 1, 30];
+        packet.resize(length + 8, 0xEE);
+        packet
+    }
+
+    /// What the proofs look at, for all pairs of lengths.
+    #[test]
+    fn p1_two_of_every_length() {
+        for (a, b) in (8..=80).flat_map(|a| (8..=80).map(move |b| (a, b))) {
+            let (one, two) = (whole(a - 8), whole(b - 8));
+            for (later, at) in [(4, 0), (5, a - 1), (6, (a + b - 1) % 80)] {
+                assert_eq!(two_packets(&one, &two, at), a + b <= 80);
+                asked_later(&one, Duration::from_secs(5), Duration::from_secs(later), at);
+            }
+        }
+    }
+
     #[test]
     fn p1_every_length() {
-        let whole = |length: usize| {
-            let mut packet = vec![0xFE, length as u8, 1, 1, 1, 30];
-            packet.resize(length + 8, 0xEE);
-            packet
-        };
         for first in 0..=80 {
             for second in 0..=80 {
-                let [one, two] = [whole(first), whole(second)];
+                let [one, two] = [first, second].map(whole);
                 let given = [(&one[..], Duration::ZERO), (&two[..], Duration::ZERO)];
                 let messages = packed(KIND, &given, false);
                 let fit = [one.len(), two.len()].map(|length| length <= 80);
@@ -307,31 +373,37 @@ mod harness {
         packet
     }
 
-    fn check<const A: usize, const B: usize>(expected: usize) {
-        let (one, two) = (any_packet::<A>(), any_packet::<B>());
-        let any = || Duration::from_millis(kani::any::<u16>().into());
-        let kind = Kind {
-            old: false,
-            patience: any(),
-        };
-        let (polls, first) = (kani::any(), any());
-        let given = [(&one[..], first), (&two[..], first + any())];
-        let messages = packed(kind, &given, polls);
-        kani::cover!(messages == expected && !polls, "as many as are needed");
-        kani::cover!(messages == 2, "one for each");
+    fn any_index() -> usize {
+        let at = kani::any();
+        kani::assume(at < MESSAGE_SIZE);
+        at
     }
 
     /// Two that fill a message.
     #[kani::proof]
     #[kani::unwind(82)]
     fn p1_two_fit() {
-        check::<40, 40>(1);
+        let shared = two_packets(&any_packet::<40>(), &any_packet::<40>(), any_index());
+        assert!(shared);
     }
 
     /// Two that do not fit into one.
     #[kani::proof]
     #[kani::unwind(82)]
     fn p1_two_do_not_fit() {
-        check::<40, 41>(2);
+        let shared = two_packets(&any_packet::<40>(), &any_packet::<41>(), any_index());
+        assert!(!shared);
+    }
+
+    #[kani::proof]
+    #[kani::unwind(82)]
+    fn p1_asked_later() {
+        let times: [u32; 2] = kani::any();
+        let [patience, later] = times.map(|seconds| Duration::from_secs(seconds.into()));
+        let packet = any_packet::<40>();
+        kani::cover!(later < patience && packet[5] == 0, "a heartbeat");
+        kani::cover!(later < patience && packet[5] != 0, "in time");
+        asked_later(&packet, patience, later, any_index());
+        kani::cover!(later >= patience, "waited");
     }
 }

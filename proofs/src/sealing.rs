@@ -89,25 +89,25 @@ use crate::cipher::{Specified, Told, Verdict, nonce_of};
 /// 2^32 - 2 nothing is sealed any more, now and later; what the cipher could not seal is not sent, and
 /// uses its counter up.
 ///
-/// `at` is an index below 80 at which the sealed message is looked at. Returns the counter of the last
-/// package.
+/// `at` is an index below 80 at which the sealed messages are looked at. Returns the counter of the last
+/// package. As a sender in any state is one resumed there, one message says it of all.
 ///
 /// # Errors
 ///
-/// Why one of the two messages was not sealed.
+/// Why the last of the messages was not sealed.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn two_packages(
+pub fn packages(
     [salt, id, first]: [u32; 3],
     verdict: Verdict,
-    messages: &[Message; 2],
+    messages: &[Message],
     at: usize,
 ) -> Result<u32, SealError> {
     let key = Key::<Told>::new(&Told::key(verdict), salt).expect("a key");
     let sealer = Sealer::resume(key, SenderId(id), first);
-    two::<Header>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
+    seals::<Header>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
 }
 
 /// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch; 65,535 and
@@ -115,17 +115,17 @@ pub fn two_packages(
 ///
 /// # Errors
 ///
-/// [`EpochError`]; and why one of the two messages was not sealed.
+/// [`EpochError`]; and why the last of the messages was not sealed.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn two_packages_of_epoch(
+pub fn packages_of_epoch(
     salt: u32,
     id: u16,
     mark: u64,
     verdict: Verdict,
-    messages: &[Message; 2],
+    messages: &[Message],
     at: usize,
 ) -> Result<Result<u32, SealError>, EpochError> {
     let key = Key::<Told, EpochHeader>::new(&Told::key(verdict), salt).expect("a key");
@@ -137,7 +137,7 @@ pub fn two_packages_of_epoch(
         sealer.next_place(),
         Some(EpochCounter { epoch, counter: 1 })
     );
-    Ok(two::<EpochHeader>(
+    Ok(seals::<EpochHeader>(
         sealer,
         salt,
         id.into(),
@@ -149,19 +149,19 @@ pub fn two_packages_of_epoch(
     ))
 }
 
-/// Seals twice, and compares with what must come out, from counter `first` on.
+/// Seals `messages`, and compares with what must come out, from counter `first` on.
 #[allow(
     clippy::too_many_arguments,
     reason = "each is a part of the nonce, or what is sealed"
 )]
-fn two<H: Specified>(
+fn seals<H: Specified>(
     mut sealer: Sealer<Told, H>,
     salt: u32,
     id: u32,
     epoch: u16,
     first: u32,
     verdict: Verdict,
-    messages: &[Message; 2],
+    messages: &[Message],
     at: usize,
 ) -> Result<u32, SealError> {
     let mut expected = Some(first).filter(|counter| *counter < u32::MAX);
@@ -189,6 +189,7 @@ fn two<H: Specified>(
         expected = expected.map(|counter| counter + 1);
         expected = expected.filter(|counter| *counter < u32::MAX);
     }
+    assert_eq!(sealer.next_counter(), expected);
     assert_eq!(sealer.id(), H::id(id));
     last
 }
@@ -223,7 +224,7 @@ mod twins {
     ) -> Result<u32, SealError> {
         let mut last = Ok(0);
         for at in 0..MESSAGE_SIZE {
-            last = two_packages(numbers, verdict, &messages, at);
+            last = packages(numbers, verdict, &messages, at);
         }
         last
     }
@@ -255,7 +256,7 @@ mod twins {
     ) -> Result<Result<u32, SealError>, EpochError> {
         let mut last = Ok(Ok(0));
         for at in 0..MESSAGE_SIZE {
-            last = two_packages_of_epoch(salt, id, mark, verdict, &messages, at);
+            last = packages_of_epoch(salt, id, mark, verdict, &messages, at);
         }
         last
     }
@@ -303,7 +304,7 @@ mod harness {
 
     #[kani::proof]
     #[kani::unwind(97)]
-    fn n1_two_packages() {
+    fn n1_package() {
         let verdict = if kani::any() {
             Verdict::Right
         } else {
@@ -312,16 +313,16 @@ mod harness {
         let at = kani::any();
         kani::assume(at < MESSAGE_SIZE);
         let numbers: [u32; 3] = kani::any();
-        let last = two_packages(numbers, verdict, &kani::any(), at);
+        let last = packages(numbers, verdict, &[kani::any()], at);
         kani::cover!(last == Ok(u32::MAX - 1), "the last counter of all");
         kani::cover!(last == Err(SealError::CounterExhausted), "exhausted");
         kani::cover!(last == Err(SealError::Cipher), "a unit that fails");
-        kani::cover!(last == Ok(2) && numbers[2] == 0, "resumed at 0");
+        kani::cover!(last == Ok(1) && numbers[2] == 0, "resumed at 0");
     }
 
     #[kani::proof]
     #[kani::unwind(97)]
-    fn n1_two_packages_of_epoch() {
+    fn n1_package_of_epoch() {
         let verdict = if kani::any() {
             Verdict::Right
         } else {
@@ -330,8 +331,8 @@ mod harness {
         let at = kani::any();
         kani::assume(at < MESSAGE_SIZE);
         let (salt, id, mark) = (kani::any(), kani::any(), kani::any());
-        let last = two_packages_of_epoch(salt, id, mark, verdict, &kani::any(), at);
-        kani::cover!(last == Ok(Ok(2)) && mark == 0xFFFE, "the last epoch of all");
+        let last = packages_of_epoch(salt, id, mark, verdict, &[kani::any()], at);
+        kani::cover!(last == Ok(Ok(1)) && mark == 0xFFFE, "the last epoch of all");
         kani::cover!(last == Err(EpochError) && mark == 0x1_0000, "no epoch");
         kani::cover!(last == Ok(Err(SealError::Cipher)), "a unit that fails");
     }
