@@ -257,20 +257,24 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         Ok(Opened { header, message })
     }
 
-    /// For proofs: with these keys, each with the wrong tags counted for it, and these senders, each with
-    /// which of the keys is his and what he is refused up to.
+    /// For proofs: with one key more, the wrong tags counted for it, and its senders, each with what he is
+    /// refused up to.
     #[cfg(kani)]
     #[must_use]
-    pub fn holding<const K: usize, const S: usize>(
-        mut self,
-        keys: [(Key<C, H>, u32); K],
-        senders: [(H::Id, usize, H::Place); S],
-    ) -> Self {
-        for (key, failed) in keys {
-            drop(self.keys.push(Guarded { key, failed }));
-        }
-        let rows = senders.map(|(sender, key, last)| (sender, Row { key, last }));
-        self.senders = rows.into_iter().collect();
+    pub fn holding(mut self, key: Key<C, H>, failed: u32, senders: &[(H::Id, H::Place)]) -> Self {
+        let at = self.keys.len();
+        core::mem::forget(self.keys.push(Guarded { key, failed }));
+        let rows = senders.iter().map(|(sender, last)| {
+            (
+                *sender,
+                Row {
+                    key: at,
+                    last: *last,
+                },
+            )
+        });
+        let before = self.senders.iter().map(|(sender, row)| (*sender, *row));
+        self.senders = before.chain(rows).collect();
         self
     }
 }
