@@ -84,11 +84,21 @@ impl Spoken for EpochHeader {
 pub(crate) fn run(python: &Path, random: &mut SmallRng, judge: &mut Judge) -> Result<()> {
     let mut peer = Script::start(python, PEER, "sealed.py", [])?;
     eprintln!("{PEER} {}", peer.version);
-    for direction in ["from here", "to here"] {
+    for direction in ["sealed here, opened there", "sealed there, opened here"] {
         judge.begin(PEER, &peer.version, direction, 2 * MESSAGES);
         for _ in 0..MESSAGES {
-            exchange::<Header>(&mut peer, direction == "from here", random, judge)?;
-            exchange::<EpochHeader>(&mut peer, direction == "from here", random, judge)?;
+            exchange::<Header>(
+                &mut peer,
+                direction.starts_with("sealed here"),
+                random,
+                judge,
+            )?;
+            exchange::<EpochHeader>(
+                &mut peer,
+                direction.starts_with("sealed here"),
+                random,
+                judge,
+            )?;
         }
     }
     Ok(())
