@@ -55,6 +55,7 @@ fn header_on_the_wire() {
     };
     assert_eq!(header.to_wire(), [1, 2, 3, 4, 5, 6, 7, 8]);
     assert_eq!(EpochHeader::from_wire(&header.to_wire()), header);
+    assert_eq!(header.sender.to_string(), "1800");
 }
 
 /// Epoch and counter are compared together: the draft, which compares counters alone, would refuse all
