@@ -47,11 +47,13 @@ pub trait Cipher: ZeroizeOnDrop {
     /// A hardware unit failed; what is left in `message` must not be sent.
     fn seal(&self, nonce: &Nonce, message: &mut Message) -> Result<Tag, CipherError>;
 
-    /// Decrypts `message` in place, if `tag` is its tag.
+    /// Decrypts `message` in place, if `tag` is its tag: all 8 bytes, compared in a time that does not tell
+    /// where they differ.
     ///
     /// # Errors
     ///
-    /// It is not, and what is left in `message` must not be used.
+    /// It is not, or a hardware unit failed, which counts as a wrong tag; what is left in `message` must not
+    /// be used.
     fn open(&self, nonce: &Nonce, message: &mut Message, tag: &Tag) -> Result<(), CipherError>;
 }
 

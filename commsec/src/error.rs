@@ -5,8 +5,8 @@ use core::fmt;
 use mavlink_signing::ParseError;
 
 use crate::field::{KEY_SIZE, PACKAGE_SIZE};
+use crate::header::{EpochCounter, SenderId};
 use crate::hx;
-use crate::key::SenderId;
 
 /// Why bytes are not a key. The caller is at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,8 +15,10 @@ use crate::key::SenderId;
 pub enum KeyError {
     /// Not 16 bytes, but this many.
     WrongLength(usize),
-    /// All bytes are zero: what storage that was never written, or was erased, reads as.
+    /// All bytes are zero: what memory that was never written reads as.
     AllZero,
+    /// All bytes are 0xFF: what erased flash reads as.
+    Erased,
 }
 
 /// Why senders cannot be permitted. The caller is at fault; nothing has changed.
@@ -45,11 +47,16 @@ impl From<KeyError> for PermitError {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum SealError {
-    /// All counters of the key have been used; only a new key helps.
+    /// All counters of the key, or of the epoch, have been used; only a new key helps, or a new epoch.
     CounterExhausted,
     /// The cipher's hardware failed. The counter is used up, the message is not lost.
     Cipher,
 }
+
+/// A sender cannot begin: all epochs of the key have been used; only a new key helps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EpochError;
 
 /// Why a received package is refused. The receiver remembers nothing of it but, for
 /// [`BadTag`](Self::BadTag), that one more was refused.
@@ -61,6 +68,8 @@ pub enum OpenError {
     WrongLength(usize),
     /// Nobody has permitted this sender.
     UnknownSender(SenderId),
+    /// A counter, or an epoch, of ones only, which no sender uses: nothing would be newer.
+    NoCounter(SenderId),
     /// Not newer than the last package accepted of its sender: a replay, a duplicate, reordered, or a
     /// sender that has started to count anew. Whoever sent it need not have the key.
     Stale {
@@ -68,6 +77,13 @@ pub enum OpenError {
         counter: u32,
         /// The counter of the last package accepted of that sender.
         last: u32,
+    },
+    /// The same of a package with an epoch.
+    StaleInEpoch {
+        /// Epoch and counter that the package claims.
+        place: EpochCounter,
+        /// Those of the last package accepted of that sender.
+        last: EpochCounter,
     },
     /// So many packages with a wrong tag have come that no further one is tried; only a new key helps.
     KeyWornOut,
@@ -85,6 +101,8 @@ pub enum PackError {
     TooLong(usize),
     /// The bytes do not begin with a whole packet of MAVLink 1 or 2.
     Parse(ParseError),
+    /// A packet of MAVLink 2, for a vehicle that knows none and would lose what is behind it.
+    OldVehicle,
     /// More bytes than the packet in front of them: this many.
     Trailing(usize),
 }
@@ -142,6 +160,7 @@ impl fmt::Display for KeyError {
                 write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
             }
             Self::AllZero => f.write_str("a key of zeros only is no key"),
+            Self::Erased => f.write_str("a key of 0xFF only is erased flash"),
         }
     }
 }
@@ -166,6 +185,12 @@ impl fmt::Display for SealError {
     }
 }
 
+impl fmt::Display for EpochError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("all epochs of the key are used up")
+    }
+}
+
 impl fmt::Display for OpenError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -174,9 +199,16 @@ impl fmt::Display for OpenError {
                 "a package has {PACKAGE_SIZE} bytes, this one has {length}"
             ),
             Self::UnknownSender(sender) => write!(f, "sender {sender} is not permitted"),
+            Self::NoCounter(sender) => {
+                write!(f, "sender {sender} has used up its counters, or its epochs")
+            }
             Self::Stale { counter, last } => write!(
                 f,
                 "counter {counter} is not newer than {last}, the last accepted"
+            ),
+            Self::StaleInEpoch { place, last } => write!(
+                f,
+                "counter {place} is not newer than {last}, the last accepted"
             ),
             Self::KeyWornOut => f.write_str("too many wrong tags: the key is worn out"),
             Self::BadTag => f.write_str("bad tag: another key or a forgery"),
@@ -191,6 +223,7 @@ impl fmt::Display for PackError {
                 write!(f, "a packet of {length} bytes does not fit into a message")
             }
             Self::Parse(error) => error.fmt(f),
+            Self::OldVehicle => f.write_str("a MAVLink 2 packet for a vehicle of MAVLink 1"),
             Self::Trailing(length) => write!(f, "{length} bytes behind the packet"),
         }
     }
@@ -237,6 +270,7 @@ impl fmt::Display for RadioError {
 
 impl core::error::Error for KeyError {}
 impl core::error::Error for SealError {}
+impl core::error::Error for EpochError {}
 impl core::error::Error for OpenError {}
 impl core::error::Error for FrameError {}
 impl core::error::Error for DecodeError {}

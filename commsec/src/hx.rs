@@ -74,7 +74,8 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// A frame of any content.
+    /// A frame of any content. Nothing sees to it that air data is sealed: to send a package, make the frame
+    /// [`from`](Self::from) it.
     ///
     /// # Errors
     ///

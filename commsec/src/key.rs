@@ -1,48 +1,38 @@
 //! Keys with their salts, and who uses them.
 
 use core::fmt;
+use core::marker::PhantomData;
 
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, CipherError, Message, Nonce, Tag};
 use crate::error::KeyError;
 use crate::field::{KEY_SIZE, SALT_SIZE};
-use crate::package::Header;
-
-/// Who sealed a package: a vehicle or a ground station, by the number that the key file gives it.
-///
-/// Any number; SMACCMPilot's own receivers know only 0 to 15.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct SenderId(
-    /// The number.
-    pub u32,
-);
-
-impl fmt::Display for SenderId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
-    }
-}
+use crate::header::{Header, HeaderFormat, Sender, SenderId};
 
 /// A key and its salt, prepared for use.
 ///
+/// It is a key for packages with the header `H`, and for no others: under one key, the two formats
+/// would use nonces twice. Nothing here can see that the same 16 bytes are made a key of the other
+/// format too; the key file has one header for all its keys.
+///
 /// There is no way to read them back, [`Debug`] does not show them, and they are not copied. Their
 /// memory is wiped when they are dropped; what their preparation leaves on the stack is not.
-pub struct Key<C = AesGcm> {
+pub struct Key<C = AesGcm, H = Header> {
     cipher: C,
     salt: Zeroizing<[u8; SALT_SIZE]>,
+    header: PhantomData<H>,
 }
 
-impl<C: Cipher> Key<C> {
+impl<C: Cipher, H: HeaderFormat> Key<C, H> {
     /// The key in `bytes`, which should come from a random generator, and its salt.
     ///
     /// The caller wipes its own copies.
     ///
     /// # Errors
     ///
-    /// [`KeyError::WrongLength`] unless there are 16 bytes; [`KeyError::AllZero`] for storage that
-    /// nobody has written a key to.
+    /// [`KeyError::WrongLength`] unless there are 16 bytes; [`KeyError::AllZero`] and [`KeyError::Erased`] for
+    /// storage that nobody has written a key to.
     pub fn new(bytes: &[u8], salt: u32) -> Result<Self, KeyError> {
         let key: &[u8; KEY_SIZE] = bytes
             .try_into()
@@ -51,19 +41,23 @@ impl<C: Cipher> Key<C> {
         if key.iter().fold(0, |all, byte| all | byte) == 0 {
             return Err(KeyError::AllZero);
         }
+        if key.iter().fold(0xFF, |all, byte| all & byte) == 0xFF {
+            return Err(KeyError::Erased);
+        }
         Ok(Self {
             cipher: C::new(key),
             salt: Zeroizing::new(salt.to_be_bytes()),
+            header: PhantomData,
         })
     }
 
-    pub(crate) fn seal(&self, header: Header, message: &mut Message) -> Result<Tag, CipherError> {
+    pub(crate) fn seal(&self, header: H, message: &mut Message) -> Result<Tag, CipherError> {
         self.cipher.seal(&self.nonce(header), message)
     }
 
     pub(crate) fn open(
         &self,
-        header: Header,
+        header: H,
         message: &mut Message,
         tag: &Tag,
     ) -> Result<(), CipherError> {
@@ -72,14 +66,14 @@ impl<C: Cipher> Key<C> {
 
     /// The salt, then the header as it is sent. So the header is under the tag without being
     /// associated data.
-    fn nonce(&self, header: Header) -> Zeroizing<Nonce> {
+    fn nonce(&self, header: H) -> Zeroizing<Nonce> {
         let [a, b, c, d] = *self.salt;
-        let [e, f, g, h, i, j, k, l] = header.to_wire();
+        let [e, f, g, h, i, j, k, l] = header.wire();
         Zeroizing::new([a, b, c, d, e, f, g, h, i, j, k, l])
     }
 }
 
-impl<C> fmt::Debug for Key<C> {
+impl<C, H> fmt::Debug for Key<C, H> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Key(redacted)")
     }
@@ -87,24 +81,27 @@ impl<C> fmt::Debug for Key<C> {
 
 /// What the key file says of one sender, as a constant of firmware: `mavseal-keys` writes it there.
 ///
+/// The type of the id says which header the packages have.
+///
 /// [`Debug`] shows the id alone. It lies in the image, so nothing wipes it: whoever reads the image has
 /// the key.
-pub struct Credential {
+pub struct Credential<I = SenderId> {
     /// Who seals with the key.
-    pub id: SenderId,
+    pub id: I,
     /// The key.
     pub key: [u8; KEY_SIZE],
     /// The part of the nonce that is never sent.
     pub salt: u32,
 }
 
-impl Credential {
-    /// The key, prepared for use.
+impl<I: Sender> Credential<I> {
+    /// The key, prepared for use: once for one [`Sealer`](crate::Sealer) of the whole device, however many
+    /// lines it has. Two of one credential would use every nonce twice, and no type can see it.
     ///
     /// # Errors
     ///
-    /// [`KeyError::AllZero`].
-    pub fn prepare<C: Cipher>(&self) -> Result<Key<C>, KeyError> {
+    /// [`KeyError::AllZero`], [`KeyError::Erased`].
+    pub fn prepare<C: Cipher>(&self) -> Result<Key<C, I::Header>, KeyError> {
         Key::new(&self.key, self.salt)
     }
 
@@ -114,7 +111,7 @@ impl Credential {
     }
 }
 
-impl fmt::Debug for Credential {
+impl<I: fmt::Debug> fmt::Debug for Credential<I> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Credential")
             .field("id", &self.id)

@@ -18,6 +18,7 @@ extern crate kani;
 mod cipher;
 mod error;
 pub mod field;
+mod header;
 pub mod hx;
 mod key;
 mod open;
@@ -28,13 +29,16 @@ mod seal;
 
 pub use cipher::{AesGcm, Cipher, CipherError, Message, Nonce, Tag};
 pub use error::{
-    DecodeError, FrameError, KeyError, OpenError, PackError, PermitError, RadioError, SealError,
-    UnpackError,
+    DecodeError, EpochError, FrameError, KeyError, OpenError, PackError, PermitError, RadioError,
+    SealError, UnpackError,
 };
-pub use key::{Credential, Key, SenderId};
+pub use header::{
+    EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, Sender, SenderId,
+};
+pub use key::{Credential, Key};
 pub use open::{FAILED_OPENS_LIMIT, Opened, Opener};
 pub use pack::{OLD_VEHICLE_SIZE, Packer, Packets, packets};
-pub use package::{Header, Package};
+pub use package::Package;
 pub use seal::{FIRST_COUNTER, Sealer};
 /// What a [`Cipher`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;

@@ -7,39 +7,50 @@ use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, Message};
 use crate::error::{OpenError, PermitError};
-use crate::key::{Credential, Key, SenderId};
+use crate::header::{Header, HeaderFormat};
+use crate::key::{Credential, Key};
 use crate::pack::Packets;
-use crate::package::{Header, Parts};
+use crate::package::Parts;
 
-/// How many wrong tags a key survives, unless [`Opener::with_limit`] says otherwise: 2^24.
+/// How many wrong tags a key survives within a run, unless [`Opener::with_limit`] says otherwise: 2^24. The
+/// count is kept in memory, and is 0 again after a restart.
 ///
-/// A forger succeeds with one package in 2^61 (a tag of 64 bits over 6 blocks), so with fewer than one
-/// in 2^37 before the key is given up. Whoever only wants to stop the link has to send junk for as
-/// long: three days at 57,600 baud. NIST SP 800-38D, appendix C, table 2, allows 2^32 tags of this
-/// length to be checked with one key.
+/// One forged package passes with at most 6 chances in 2^64: the tag has 64 bits, and what is
+/// authenticated is a polynomial of degree 6 in the hash key, 5 blocks of message and one of lengths.
+/// 2^24 of them pass with fewer than one chance in 2^37. Each that passes would tell of the hash key and
+/// make the next easier, which is why NIST SP 800-38D, appendix C, asks for a bound with tags so short.
+///
+/// It is also how somebody without a key ends a link until the restart: three days at 57,600 baud, which carry
+/// 58 packages a second, but minutes on a fast network if the processor keeps up. There choose between a
+/// greater limit and a shorter life of keys; [`Opener::failed_opens`] tells long before.
 pub const FAILED_OPENS_LIMIT: u32 = 1 << 24;
 
 /// A package that was sealed with the key of a permitted sender, and is newer than all accepted of
 /// him before.
 ///
 /// Made by [`Opener::open`] alone and not copied, so that it is acted on once. The message is wiped when
-/// it is dropped.
-pub struct Opened {
-    header: Header,
+/// it is dropped; what a move leaves of it on the stack is not.
+pub struct Opened<H = Header> {
+    header: H,
     message: Zeroizing<Message>,
 }
 
-impl Opened {
+impl<H: HeaderFormat> Opened<H> {
     /// Who sealed it.
-    #[must_use]
-    pub const fn sender(&self) -> SenderId {
-        self.header.sender
+    pub fn sender(&self) -> H::Id {
+        self.header.sender()
     }
 
-    /// Its place among what this sender has sealed.
+    /// Its place among everything that this sender has sealed: the counter, with [`EpochHeader`](crate::EpochHeader) epoch
+    /// and counter.
+    pub fn place(&self) -> H::Place {
+        self.header.place()
+    }
+
+    /// The counter, with [`EpochHeader`](crate::EpochHeader) in its epoch.
     #[must_use]
-    pub const fn counter(&self) -> u32 {
-        self.header.counter
+    pub fn counter(&self) -> u32 {
+        H::counter(self.place())
     }
 
     /// The message, 80 bytes.
@@ -55,7 +66,7 @@ impl Opened {
     }
 }
 
-impl fmt::Debug for Opened {
+impl<H: fmt::Debug> fmt::Debug for Opened<H> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Opened")
             .field("header", &self.header)
@@ -65,30 +76,31 @@ impl fmt::Debug for Opened {
 
 /// What a receiver remembers of one sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Row {
+struct Row<P> {
     /// Which of the keys is his.
     key: usize,
-    /// The counter of the last package accepted of him; 0 before the first.
-    last: u32,
+    /// The place of the last package accepted of him; before the first, one before all.
+    last: P,
 }
 
 /// A key, and how many packages that claimed it had a wrong tag.
-struct Guarded<C> {
-    key: Key<C>,
+struct Guarded<C, H> {
+    key: Key<C, H>,
     failed: u32,
 }
 
 /// Opens packages of up to `N` permitted senders, each package once and each sender's in order.
 ///
-/// It is not copied: a copy would accept again what the original has accepted. Forgetting it does the
-/// same: see [`resume`](Self::resume).
-pub struct Opener<const N: usize, C: Cipher = AesGcm> {
-    keys: Vec<Guarded<C>, N>,
-    senders: LinearMap<SenderId, Row, N>,
+/// One for the whole device, however many lines it has. It is not copied: a copy would accept again what
+/// the original has accepted. Forgetting it does the same: see [`resume`](Self::resume). It remembers in
+/// memory alone; whoever acts on a message before a mark above it is stored may act again after a restart.
+pub struct Opener<const N: usize, C: Cipher = AesGcm, H: HeaderFormat = Header> {
+    keys: Vec<Guarded<C, H>, N>,
+    senders: LinearMap<H::Id, Row<H::Place>, N>,
     limit: u32,
 }
 
-impl<const N: usize, C: Cipher> Opener<N, C> {
+impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// A receiver that permits nobody yet, and gives a key up after [`FAILED_OPENS_LIMIT`] wrong tags.
     #[must_use]
     pub const fn new() -> Self {
@@ -106,16 +118,17 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
     }
 
     /// A receiver that permits everybody in `credentials`, each with the counter up to which everything
-    /// of his is refused: what `last` says, 0 for whoever has not been heard before.
+    /// of his is refused: what `last` says, 0 (of epoch 0) for whoever has not been heard before.
     ///
-    /// Those who have one key and salt have one count of wrong tags.
+    /// Those who have one key and salt have one count of wrong tags. Those who share a key and not its salt
+    /// have one each, so that the key sees as many times the limit.
     ///
     /// # Errors
     ///
     /// [`PermitError`].
     pub fn of(
-        credentials: &[Credential],
-        last: impl Fn(SenderId) -> u32,
+        credentials: &[Credential<H::Id>],
+        last: impl Fn(H::Id) -> H::Place,
     ) -> Result<Self, PermitError> {
         let mut opener = Self::new();
         for (at, credential) in credentials.iter().enumerate() {
@@ -140,24 +153,31 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
     /// # Errors
     ///
     /// [`PermitError`]; nobody is permitted then.
-    pub fn permit(&mut self, key: Key<C>, senders: &[SenderId]) -> Result<(), PermitError> {
-        self.add(key, senders.iter().map(|sender| (*sender, 0)))
+    pub fn permit(&mut self, key: Key<C, H>, senders: &[H::Id]) -> Result<(), PermitError> {
+        self.add(key, senders.iter().map(|sender| (*sender, H::BEFORE_ALL)))
     }
 
     /// Permits `senders`, all of whom seal with `key`, each with the counter up to which everything of
     /// his is refused: for a receiver that kept marks over a restart.
     ///
+    /// It is the last one refused: one less than a mark above all that was accepted. A mark stored ahead
+    /// costs as many genuine packages after a restart.
+    ///
     /// # Errors
     ///
     /// As [`permit`](Self::permit).
-    pub fn resume(&mut self, key: Key<C>, senders: &[(SenderId, u32)]) -> Result<(), PermitError> {
+    pub fn resume(
+        &mut self,
+        key: Key<C, H>,
+        senders: &[(H::Id, H::Place)],
+    ) -> Result<(), PermitError> {
         self.add(key, senders.iter().copied())
     }
 
     fn add(
         &mut self,
-        key: Key<C>,
-        senders: impl Iterator<Item = (SenderId, u32)> + Clone,
+        key: Key<C, H>,
+        senders: impl Iterator<Item = (H::Id, H::Place)> + Clone,
     ) -> Result<(), PermitError> {
         let count = senders.clone().count();
         if count == 0 {
@@ -167,7 +187,7 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
             let mut before = senders.clone().take(at);
             let twice = before.any(|(other, _)| other == sender);
             if twice || self.senders.contains_key(&sender) {
-                return Err(PermitError::Twice(sender));
+                return Err(PermitError::Twice(sender.into()));
             }
         }
         if count > N.saturating_sub(self.senders.len()) {
@@ -187,14 +207,14 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
     }
 
     /// Every permitted sender, and the counter up to which everything of his is refused.
-    pub fn senders(&self) -> impl Iterator<Item = (SenderId, u32)> {
+    pub fn senders(&self) -> impl Iterator<Item = (H::Id, H::Place)> {
         self.senders.iter().map(|(sender, row)| (*sender, row.last))
     }
 
     /// How many packages that claimed the key of `sender` had a wrong tag; `None` if nobody has
     /// permitted him. Senders with one key have one count.
     #[must_use]
-    pub fn failed_opens(&self, sender: SenderId) -> Option<u32> {
+    pub fn failed_opens(&self, sender: H::Id) -> Option<u32> {
         let row = self.senders.get(&sender)?;
         Some(self.keys.get(row.key)?.failed)
     }
@@ -206,22 +226,22 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
     ///
     /// # Errors
     ///
-    /// [`OpenError::WrongLength`], [`OpenError::UnknownSender`], [`OpenError::Stale`],
-    /// [`OpenError::KeyWornOut`], [`OpenError::BadTag`], looked for in this order, which is
+    /// [`OpenError::WrongLength`], [`OpenError::UnknownSender`], [`OpenError::NoCounter`],
+    /// [`OpenError::Stale`] or [`OpenError::StaleInEpoch`], [`OpenError::KeyWornOut`], [`OpenError::BadTag`], looked for in this order, which is
     /// SMACCMPilot's. Nothing has changed then, except that a wrong tag is counted.
-    pub fn open(&mut self, package: &[u8]) -> Result<Opened, OpenError> {
+    pub fn open(&mut self, package: &[u8]) -> Result<Opened<H>, OpenError> {
         let Parts {
             header,
             sealed,
             tag,
-        } = Parts::of(package)?;
-        let unknown = OpenError::UnknownSender(header.sender);
-        let row = self.senders.get_mut(&header.sender).ok_or(unknown)?;
-        if header.counter <= row.last {
-            return Err(OpenError::Stale {
-                counter: header.counter,
-                last: row.last,
-            });
+        } = Parts::<H>::of(package)?;
+        let unknown = OpenError::UnknownSender(header.sender().into());
+        let row = self.senders.get_mut(&header.sender()).ok_or(unknown)?;
+        if header.is_end() {
+            return Err(OpenError::NoCounter(header.sender().into()));
+        }
+        if header.place() <= row.last {
+            return Err(header.stale(row.last));
         }
         let Guarded { key, failed } = self.keys.get_mut(row.key).ok_or(unknown)?;
         if *failed >= self.limit {
@@ -233,28 +253,39 @@ impl<const N: usize, C: Cipher> Opener<N, C> {
             *failed = failed.saturating_add(1);
             return Err(OpenError::BadTag);
         }
-        row.last = header.counter;
+        row.last = header.place();
         Ok(Opened { header, message })
     }
 
-    /// For proofs: with so many wrong tags counted for each key.
+    /// For proofs: with one key more, the wrong tags counted for it, and its senders, each with what he is
+    /// refused up to.
     #[cfg(kani)]
     #[must_use]
-    pub fn having_failed(mut self, failed: &[u32]) -> Self {
-        for (guarded, failed) in self.keys.iter_mut().zip(failed) {
-            guarded.failed = *failed;
-        }
+    pub fn holding(mut self, key: Key<C, H>, failed: u32, senders: &[(H::Id, H::Place)]) -> Self {
+        let at = self.keys.len();
+        core::mem::forget(self.keys.push(Guarded { key, failed }));
+        let rows = senders.iter().map(|(sender, last)| {
+            (
+                *sender,
+                Row {
+                    key: at,
+                    last: *last,
+                },
+            )
+        });
+        let before = self.senders.iter().map(|(sender, row)| (*sender, *row));
+        self.senders = before.chain(rows).collect();
         self
     }
 }
 
-impl<const N: usize, C: Cipher> Default for Opener<N, C> {
+impl<const N: usize, C: Cipher, H: HeaderFormat> Default for Opener<N, C, H> {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl<const N: usize, C: Cipher> fmt::Debug for Opener<N, C> {
+impl<const N: usize, C: Cipher, H: HeaderFormat> fmt::Debug for Opener<N, C, H> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Opener")
             .field("senders", &self.senders)

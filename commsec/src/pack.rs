@@ -1,10 +1,12 @@
 //! Whole MAVLink packets into messages of 80 bytes, and out of them again.
 
+use core::fmt;
 use core::time::Duration;
 
 use heapless::Vec;
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE_V1, MAGIC_V1};
 use mavlink_signing::{FrameRef, MessageId, ParseError};
+use zeroize::Zeroize as _;
 
 use crate::cipher::Message;
 use crate::error::{PackError, UnpackError};
@@ -33,7 +35,6 @@ const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
 /// assert_eq!(packets(&message).collect::<Vec<_>>(), [Ok(&heartbeat[..])]);
 /// # Ok::<(), Box<dyn core::error::Error>>(())
 /// ```
-#[derive(Clone, Debug)]
 pub struct Packer {
     pending: Vec<u8, MESSAGE_SIZE>,
     /// Bytes of a message that packets may lie in.
@@ -54,7 +55,7 @@ impl Packer {
     }
 
     /// The same for a vehicle with SMACCMPilot's own firmware, which loses what lies behind the first
-    /// [`OLD_VEHICLE_SIZE`] bytes of a message: they stay zero.
+    /// [`OLD_VEHICLE_SIZE`] bytes of a message, which stay zero, and knows no MAVLink 2, which is refused.
     #[must_use]
     pub const fn for_old_vehicles(patience: Duration) -> Self {
         Self::of_size(OLD_VEHICLE_SIZE, patience)
@@ -72,14 +73,15 @@ impl Packer {
     }
 
     /// Takes one whole packet of MAVLink 1 or 2, checksum not looked at; gives the message that had to
-    /// make room for it, which must be sealed now.
+    /// make room for it, which must be sealed now: nobody has it any more. A HEARTBEAT leaves with
+    /// [`poll`](Self::poll).
     ///
     /// `now` is the time since any start, by a clock that never goes back.
     ///
     /// # Errors
     ///
-    /// [`PackError::Parse`], [`PackError::Trailing`]: not one whole packet. [`PackError::TooLong`]: the
-    /// packet fits into no message. Refused packets are counted; what is pending stays.
+    /// [`PackError::Parse`], [`PackError::Trailing`]: not one whole packet. [`PackError::TooLong`],
+    /// [`PackError::OldVehicle`]: the packet goes into no message. Refused packets are counted; what is pending stays.
     pub fn push(&mut self, packet: &[u8], now: Duration) -> Result<Option<Message>, PackError> {
         let id = self.check(packet).inspect_err(|_| {
             self.refused = self.refused.saturating_add(1);
@@ -97,6 +99,9 @@ impl Packer {
 
     fn check(&self, packet: &[u8]) -> Result<MessageId, PackError> {
         let (first, id) = first_packet(packet).map_err(PackError::Parse)?;
+        if self.size == OLD_VEHICLE_SIZE && first.first() != Some(&MAGIC_V1) {
+            return Err(PackError::OldVehicle);
+        }
         match packet.len() - first.len() {
             0 if first.len() > self.size => Err(PackError::TooLong(first.len())),
             0 => Ok(id),
@@ -125,6 +130,7 @@ impl Packer {
         for (slot, byte) in message.iter_mut().zip(&self.pending) {
             *slot = *byte;
         }
+        self.pending.as_mut_slice().zeroize();
         self.pending.clear();
         self.due = false;
         Some(message)
@@ -134,6 +140,22 @@ impl Packer {
     #[must_use]
     pub const fn refused(&self) -> u32 {
         self.refused
+    }
+}
+
+/// Shows how much is pending, not what.
+impl fmt::Debug for Packer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Packer")
+            .field("pending", &self.pending.len())
+            .field("refused", &self.refused)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Drop for Packer {
+    fn drop(&mut self) {
+        self.pending.as_mut_slice().zeroize();
     }
 }
 
@@ -147,9 +169,18 @@ pub const fn packets(message: &Message) -> Packets<'_> {
 ///
 /// By their shape alone, checksums not looked at: the message is authentic, and whoever reads a packet
 /// knows its dialect. Behind the first error there is nothing more.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Packets<'a> {
     rest: &'a [u8],
+}
+
+/// Shows how many bytes are left, not which.
+impl fmt::Debug for Packets<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Packets")
+            .field("rest", &self.rest.len())
+            .finish()
+    }
 }
 
 impl<'a> Packets<'a> {

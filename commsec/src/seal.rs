@@ -3,30 +3,36 @@
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, Message};
-use crate::error::SealError;
-use crate::key::{Key, SenderId};
-use crate::package::{Header, Package};
+use crate::error::{EpochError, SealError};
+use crate::header::{EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, SenderId};
+use crate::key::Key;
+use crate::package::Package;
 
-/// The counter of the first package that is ever sealed with a key.
+/// The counter of the first package that is ever sealed with a key, or in an epoch.
 pub const FIRST_COUNTER: u32 = 1;
 
 /// The counter that is never sent: when it is next, the key is used up.
 const END: u32 = u32::MAX;
 
-/// Seals messages as one sender, each under a counter that was never used before.
+/// The epoch that is never sent: when it is next, the key is used up.
+const END_OF_EPOCHS: u16 = u16::MAX;
+
+/// Seals messages as one sender, each under a counter that was never used before. One for the whole
+/// device, however many lines it has.
 ///
 /// It owns its key and is not copied: two sealers with one key, salt and id would use one nonce twice,
 /// which gives away both messages and lets anybody forge. Nothing here can see what an earlier run has
-/// used; see [`resume`](Self::resume).
+/// used; see [`resume`](Sealer::resume) and, for packages with epochs, [`begin`](Sealer::begin).
 #[derive(Debug)]
-pub struct Sealer<C: Cipher = AesGcm> {
-    key: Key<C>,
-    id: SenderId,
-    next: u32,
+pub struct Sealer<C: Cipher = AesGcm, H: HeaderFormat = Header> {
+    key: Key<C, H>,
+    id: H::Id,
+    next: H::Place,
 }
 
 impl<C: Cipher> Sealer<C> {
-    /// A sender with a key that was never used before, not even in an earlier run: it counts from 1.
+    /// A sender with a key that was never used before, not even in an earlier run: it counts from 1. With a
+    /// key that is part of an image this is right once in the key's life, and never again.
     #[must_use]
     pub const fn new(key: Key<C>, id: SenderId) -> Self {
         Self::resume(key, id, FIRST_COUNTER)
@@ -35,7 +41,8 @@ impl<C: Cipher> Sealer<C> {
     /// A sender that counts from `first`, or from 1 if that is greater: for a key that was used before.
     ///
     /// `first` must be greater than every counter used before the restart, which takes a mark in
-    /// storage that is written ahead of use. Receivers accept the jump. With 2^32 - 1 it seals nothing.
+    /// storage that is written ahead of use, and that lives as long as the key: whoever erases it makes a new
+    /// key. Receivers accept the jump. With 2^32 - 1, and so for every mark beyond 32 bits, it seals nothing.
     #[must_use]
     pub const fn resume(key: Key<C>, id: SenderId, first: u32) -> Self {
         let next = if first < FIRST_COUNTER {
@@ -45,38 +52,65 @@ impl<C: Cipher> Sealer<C> {
         };
         Self { key, id, next }
     }
+}
 
+impl<C: Cipher> Sealer<C, EpochHeader> {
+    /// A sender that counts from 1 in the epoch `mark`, in which nothing was sealed before with this key.
+    ///
+    /// `mark` is a number in storage that starts at 0, and above which another one was stored before this
+    /// is called: one epoch for each start, used or not. A number beyond 16 bits is refused, not cut.
+    ///
+    /// # Errors
+    ///
+    /// [`EpochError`]: the epochs of the key are used up, 65,535 starts; only a new key helps.
+    pub fn begin(
+        key: Key<C, EpochHeader>,
+        id: EpochSenderId,
+        mark: u64,
+    ) -> Result<Self, EpochError> {
+        match u16::try_from(mark) {
+            Ok(epoch) if epoch != END_OF_EPOCHS => {
+                let next = EpochCounter {
+                    epoch,
+                    counter: FIRST_COUNTER,
+                };
+                Ok(Self { key, id, next })
+            }
+            _ => Err(EpochError),
+        }
+    }
+}
+
+impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
     /// Who it seals as.
     #[must_use]
-    pub const fn id(&self) -> SenderId {
+    pub const fn id(&self) -> H::Id {
         self.id
+    }
+
+    /// The place of the next package, counter and with [`EpochHeader`] epoch; `None` when all are used up.
+    pub fn next_place(&self) -> Option<H::Place> {
+        (H::counter(self.next) != END).then_some(self.next)
     }
 
     /// The counter of the next package; `None` when all are used up.
     #[must_use]
-    pub const fn next_counter(&self) -> Option<u32> {
-        if self.next == END {
-            None
-        } else {
-            Some(self.next)
-        }
+    pub fn next_counter(&self) -> Option<u32> {
+        self.next_place().map(H::counter)
     }
 
     /// Seals `message` under the next counter.
     ///
     /// # Errors
     ///
-    /// [`SealError::CounterExhausted`] after 2^32 - 2 packages, and from then on always.
-    /// [`SealError::Cipher`] from a cipher that can fail, which [`AesGcm`] cannot. In both cases there is
-    /// nothing to send; a message is never handed on unsealed.
+    /// [`SealError::CounterExhausted`] after 2^32 - 2 packages, with [`EpochHeader`] of one epoch, and from
+    /// then on always. [`SealError::Cipher`] from a cipher that can fail, which [`AesGcm`] cannot. In both
+    /// cases there is nothing to send; a message is never handed on unsealed.
     pub fn seal(&mut self, message: &Message) -> Result<Package, SealError> {
-        let counter = self.next_counter().ok_or(SealError::CounterExhausted)?;
+        let place = self.next_place().ok_or(SealError::CounterExhausted)?;
         // First, so that a failure in between uses the counter up.
-        self.next = counter.saturating_add(1);
-        let header = Header {
-            sender: self.id,
-            counter,
-        };
+        self.next = H::after(place);
+        let header = H::of(self.id, place);
         let mut sealed = Zeroizing::new(*message);
         let tag = self
             .key

@@ -10,6 +10,7 @@ use arbitrary::{Arbitrary, Unstructured};
 use mavlink_signing::{Header, MessageId, Stamp, Timestamp, Window, dialect};
 use mavseal_proofs::history::Step;
 use mavseal_proofs::keys::{Event, Side};
+use mavseal_proofs::link::Step as LinkStep;
 use mavseal_proofs::mark::Cut;
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::pipes::Turn;
@@ -168,6 +169,14 @@ encode_variants!(Step, 5:
     2 Damage { back, bit }
     3 SenderClock { ticks }
     4 ReceiverClock { ticks }
+);
+
+encode_variants!(LinkStep, 5:
+    0 Send { from }
+    1 Deliver { back }
+    2 Damage { back, bit }
+    3 Noise { byte }
+    4 Restart { end, ahead }
 );
 
 impl Encode for Side {

@@ -4,12 +4,14 @@
 //! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
 //! committed seed, on any stable compiler.
 
+pub mod files;
 pub mod frames;
 pub mod input;
 pub mod memory;
 pub mod ports;
 pub mod reached;
 pub mod repair;
+pub mod sealed;
 pub mod seeds;
 pub mod senders;
 pub mod standard;
@@ -60,6 +62,13 @@ targets! {
     values::stamps: input,
     memory::store_crash: input,
     memory::key_change: input,
+    sealed::diff_gcm: input,
+    sealed::hx_decoder: input,
+    files::key_file: bytes,
+    sealed::open_package: input,
+    sealed::pack_packets: input,
+    sealed::seal_open: input,
+    sealed::sealed_link: input,
 }
 
 fn bytes(bytes: &[u8], target: impl Fn(&[u8])) {

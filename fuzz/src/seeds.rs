@@ -2,6 +2,7 @@
 
 mod memory;
 mod packets;
+mod sealed;
 mod senders;
 mod streams;
 mod unsigned;
@@ -53,6 +54,7 @@ pub fn all(telemetry: &[Vec<u8>]) -> Vec<Seed> {
     seeds.values();
     seeds.foreign();
     seeds.memory();
+    seeds.sealed();
     seeds.0
 }
 

@@ -10,6 +10,8 @@ mod payloads;
 mod peers;
 mod report;
 mod scenarios;
+mod script;
+mod sealed;
 mod vectors;
 mod verdicts;
 
@@ -34,6 +36,9 @@ struct Options {
     /// A Python that has pymavlink
     #[arg(long)]
     python: PathBuf,
+    /// A Python that has cryptography
+    #[arg(long)]
+    sealing_python: PathBuf,
     /// The dialect `all` as pymavlink generated it, a Python module
     #[arg(long)]
     dialect: PathBuf,
@@ -76,6 +81,8 @@ fn main() -> Result<()> {
             )?;
         }
     }
+    let mut random = SmallRng::seed_from_u64(options.seed);
+    sealed::run(&options.sealing_python, &mut random, &mut judge)?;
     println!("{}", serde_json::to_string(&judge.finish(options.seed))?);
     Ok(())
 }

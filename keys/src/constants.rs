@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use zeroize::Zeroizing;
 
 use crate::error::KeyFileError;
-use crate::file::{KeyFile, Sender};
+use crate::file::{Header, KeyFile, Sender};
 
 /// Whose image it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,7 +18,8 @@ pub enum Who {
 
 impl KeyFile {
     /// Rust source with two statics of `mavlink_commsec::Credential`: `OWN`, what the image seals with,
-    /// and `PEERS`, whom it hears.
+    /// and `PEERS`, whom it hears. Their type says which header the file has, and no program compiles
+    /// that uses them with the other.
     ///
     /// # Errors
     ///
@@ -35,20 +36,27 @@ impl KeyFile {
         };
         // Room for all of it, so that no copy is left behind where it would have to grow.
         let mut text = Zeroizing::new(String::with_capacity(512 * (2 + peers.len())));
+        let (kind, id) = match self.header() {
+            Header::IdCounter => ("Credential", "SenderId"),
+            Header::CounterEpochId => (
+                "Credential<::mavlink_commsec::EpochSenderId>",
+                "EpochSenderId",
+            ),
+        };
         text.push_str("// What this image seals with, and whom it hears. Made from the key file: keep it secret.\n\n");
         text.push_str("/// What this image seals with.\n");
-        text.push_str("pub static OWN: ::mavlink_commsec::Credential = ");
-        credential(&mut text, own, "");
-        text.push_str(";\n\n/// Whom it hears.\n");
         // Writing to a string cannot fail.
+        let _ = write!(text, "pub static OWN: ::mavlink_commsec::{kind} = ");
+        credential(&mut text, own, id, "");
+        text.push_str(";\n\n/// Whom it hears.\n");
         let _ = writeln!(
             text,
-            "pub static PEERS: [::mavlink_commsec::Credential; {}] = [",
+            "pub static PEERS: [::mavlink_commsec::{kind}; {}] = [",
             peers.len()
         );
         for peer in peers {
             text.push_str("    ");
-            credential(&mut text, peer, "    ");
+            credential(&mut text, peer, id, "    ");
             text.push_str(",\n");
         }
         text.push_str("];\n");
@@ -56,12 +64,12 @@ impl KeyFile {
     }
 }
 
-fn credential(text: &mut String, sender: &Sender, indent: &str) {
+fn credential(text: &mut String, sender: &Sender, kind: &str, indent: &str) {
     let Sender { id, key, salt } = sender;
     let _ = write!(
         text,
         "::mavlink_commsec::Credential {{\n\
-         {indent}    id: ::mavlink_commsec::SenderId({id}),\n\
+         {indent}    id: ::mavlink_commsec::{kind}({id}),\n\
          {indent}    key: {key:?},\n\
          {indent}    salt: {salt},\n\
          {indent}}}",

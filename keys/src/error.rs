@@ -16,6 +16,9 @@ pub enum KeyFileError {
         /// Why.
         source: io::Error,
     },
+    /// TOML is not written to a name that is read as Keys.mk.
+    #[error("a file whose name ends in .mk is read as SMACCMPilot's Keys.mk: choose another name")]
+    NameOfKeysMk,
     /// Not the shape of a key file.
     #[error("line {line}: {what}")]
     Syntax {
@@ -28,14 +31,20 @@ pub enum KeyFileError {
     #[error("{0} is missing")]
     Missing(&'static str),
     /// A header that this version does not know.
-    #[error("the header is not `id-counter`, the only one that is known here")]
+    #[error("the header is neither `id-counter` nor `counter-epoch-id`")]
     UnknownHeader,
+    /// An id that the file's header has no room for.
+    #[error("id {0} is too large for the header `{1}`")]
+    IdTooLarge(u32, &'static str),
     /// A key is not 16 bytes.
     #[error("the key of sender {0} is not 16 bytes, as 32 hexadecimal digits")]
     BadKey(u32),
     /// A key of zeros only.
     #[error("the key of sender {0} is all zeros")]
     AllZero(u32),
+    /// A key of 0xFF only: erased flash.
+    #[error("the key of sender {0} is all ones: erased flash")]
+    Erased(u32),
     /// A key that anybody can look up.
     #[error("the key of sender {0} is a published example: make fresh ones")]
     Published(u32),

@@ -15,8 +15,44 @@ use crate::error::KeyFileError;
 /// Most stations in a file.
 pub const MAX_STATIONS: usize = 64;
 
-/// The only header of packages that there is.
-const HEADER: &str = "id-counter";
+/// The header of the packages that the keys of a file seal. All of them: under one key, the two would use
+/// nonces twice.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Header {
+    /// `id-counter`: sender and counter, as SMACCMPilot has it.
+    #[default]
+    IdCounter,
+    /// `counter-epoch-id`: with a number for each start of the sender.
+    CounterEpochId,
+}
+
+impl Header {
+    const ALL: [Self; 2] = [Self::IdCounter, Self::CounterEpochId];
+
+    /// What a key file calls it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::IdCounter => "id-counter",
+            Self::CounterEpochId => "counter-epoch-id",
+        }
+    }
+
+    /// The header that a key file calls `name`.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|header| header.name() == name)
+    }
+
+    /// The greatest id that it has room for.
+    #[must_use]
+    pub const fn max_id(self) -> u32 {
+        match self {
+            Self::IdCounter => u32::MAX,
+            Self::CounterEpochId => 0xFFFF,
+        }
+    }
+}
 
 /// Greatest id in Keys.mk.
 const MAX_OLD_ID: u32 = 15;
@@ -24,14 +60,16 @@ const MAX_OLD_ID: u32 = 15;
 /// Keys that were published: anybody can look them up.
 ///
 /// Those of Keys.mk.example and of the constants before it, those that tests and defaults of
-/// SMACCMPilot and its successor use.
-const PUBLISHED: [[u8; 16]; 4] = [
+/// SMACCMPilot and its successor use, and those of the example in this package's documentation.
+const PUBLISHED: [[u8; 16]; 6] = [
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
     [15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0],
     [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
     [
         24, 23, 22, 21, 20, 19, 18, 17, 16, 15, 14, 13, 12, 11, 10, 9,
     ],
+    0xb5cc_1a3e_8f8d_5a6c_01f2_d8c3_7b0e_94aa_u128.to_be_bytes(),
+    0x7d0f_6a1b_e4c2_9358_08de_17ab_4f5c_6e22_u128.to_be_bytes(),
 ];
 
 /// What is let pass that a link in use must not have. By default nothing.
@@ -66,6 +104,7 @@ impl fmt::Debug for Sender {
 /// A key file that was checked: one vehicle and its stations, no id twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyFile {
+    header: Header,
     vehicle: Sender,
     stations: Vec<Sender>,
 }
@@ -115,7 +154,7 @@ impl KeyFile {
     pub fn read(path: &Path, exceptions: Exceptions) -> Result<Self, KeyFileError> {
         let text = fs::read_to_string(path).map_err(|source| io_error(path, source))?;
         let text = Zeroizing::new(text);
-        if path.extension().is_some_and(|extension| extension == "mk") {
+        if is_keys_mk(path) {
             Self::from_keys_mk(&text, exceptions)
         } else {
             Self::from_toml(&text, exceptions)
@@ -129,15 +168,14 @@ impl KeyFile {
     /// [`KeyFileError`], whatever is wrong first.
     pub fn from_toml(text: &str, exceptions: Exceptions) -> Result<Self, KeyFileError> {
         let written: Written = toml::from_str(text).map_err(|error| syntax(text, &error))?;
-        if written.header != HEADER {
-            return Err(KeyFileError::UnknownHeader);
-        }
+        let header = Header::named(&written.header).ok_or(KeyFileError::UnknownHeader)?;
         let stations = written.stations.into_iter().map(Sender::try_from);
-        Self::checked(
+        let file = Self::checked(
             written.vehicle.try_into()?,
             stations.collect::<Result<_, _>>()?,
             exceptions,
-        )
+        )?;
+        file.with_header(header)
     }
 
     /// The file with this content, in the form of SMACCMPilot's Keys.mk: six variables of GNU make.
@@ -162,7 +200,7 @@ impl KeyFile {
         Self::checked(vehicle, vec![station], exceptions)
     }
 
-    /// The file of these senders, if nothing is wrong with it.
+    /// The file of these senders and the header `id-counter`, if nothing is wrong with it.
     ///
     /// # Errors
     ///
@@ -175,10 +213,17 @@ impl KeyFile {
         if !(1..=MAX_STATIONS).contains(&stations.len()) {
             return Err(KeyFileError::StationCount(stations.len()));
         }
-        let file = Self { vehicle, stations };
+        let file = Self {
+            header: Header::default(),
+            vehicle,
+            stations,
+        };
         for (at, sender) in file.senders().enumerate() {
             if *sender.key == [0; 16] {
                 return Err(KeyFileError::AllZero(sender.id));
+            }
+            if *sender.key == [0xFF; 16] {
+                return Err(KeyFileError::Erased(sender.id));
             }
             if !exceptions.published_keys && PUBLISHED.contains(&sender.key) {
                 return Err(KeyFileError::Published(sender.id));
@@ -199,6 +244,27 @@ impl KeyFile {
             }
         }
         Ok(file)
+    }
+
+    /// The same senders with another header, for keys that were never used: what they sealed with the one
+    /// they had may have had the nonces of the other.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyFileError::IdTooLarge`].
+    pub fn with_header(self, header: Header) -> Result<Self, KeyFileError> {
+        let mut ids = self.senders().map(|sender| sender.id);
+        if let Some(id) = ids.find(|id| *id > header.max_id()) {
+            return Err(KeyFileError::IdTooLarge(id, header.name()));
+        }
+        drop(ids);
+        Ok(Self { header, ..self })
+    }
+
+    /// The header of all packages.
+    #[must_use]
+    pub const fn header(&self) -> Header {
+        self.header
     }
 
     /// The vehicle.
@@ -227,7 +293,7 @@ impl KeyFile {
             "# Keys of a sealed MAVLink link. Whoever has them can read it and speak on it.\n",
         );
         text.push_str("header = \"");
-        text.push_str(HEADER);
+        text.push_str(self.header.name());
         text.push_str("\"\n");
         for (at, sender) in self.senders().enumerate() {
             let title = if at == 0 { "[vehicle]" } else { "[[station]]" };
@@ -253,17 +319,31 @@ impl KeyFile {
     /// # Errors
     ///
     /// [`KeyFileError::Io`]; also if there is a file already, which is never written over.
+    /// [`KeyFileError::NameOfKeysMk`]. What could not be written to its end is removed.
     pub fn write_new(&self, path: &Path) -> Result<(), KeyFileError> {
+        if is_keys_mk(path) {
+            return Err(KeyFileError::NameOfKeysMk);
+        }
         let mut options = OpenOptions::new();
         options.write(true).create_new(true);
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let written = options.open(path).and_then(|mut file| {
-            file.write_all(self.to_toml().as_bytes())?;
-            file.sync_all()
-        });
-        written.map_err(|source| io_error(path, source))
+        let mut file = options
+            .open(path)
+            .map_err(|source| io_error(path, source))?;
+        let written = file.write_all(self.to_toml().as_bytes());
+        let written = written.and_then(|()| file.sync_all());
+        written.map_err(|source| {
+            // Of two errors the first one is told.
+            let _ = fs::remove_file(path);
+            io_error(path, source)
+        })
     }
+}
+
+/// Whether the file has the name of one for make.
+fn is_keys_mk(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "mk")
 }
 
 fn io_error(path: &Path, source: io::Error) -> KeyFileError {

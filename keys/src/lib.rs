@@ -7,4 +7,4 @@ mod make;
 
 pub use constants::Who;
 pub use error::KeyFileError;
-pub use file::{Exceptions, KeyFile, MAX_STATIONS, Sender};
+pub use file::{Exceptions, Header, KeyFile, MAX_STATIONS, Sender};

@@ -1,7 +1,10 @@
 //! A stand-in for AES-GCM that tells what it was asked about.
 
 use mavlink_commsec::field::{HEADER_SIZE, KEY_SIZE, SALT_SIZE};
-use mavlink_commsec::{Cipher, CipherError, Header, Message, Nonce, Tag, ZeroizeOnDrop};
+use mavlink_commsec::{
+    Cipher, CipherError, EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, Message,
+    Nonce, OpenError, SenderId, Tag, ZeroizeOnDrop,
+};
 
 /// What a [`Told`] cipher says of tags.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,12 +89,92 @@ impl Cipher for Told {
     }
 }
 
+/// A header by the definition, apart from the core's: which number lies where.
+pub trait Specified: HeaderFormat {
+    /// The id with the low bits of `number` that the header has room for.
+    fn id(number: u32) -> Self::Id;
+
+    /// The place with this counter, and with this epoch where there are any.
+    fn place_of(epoch: u16, counter: u32) -> Self::Place;
+
+    /// What 8 bytes on the wire say.
+    fn read(wire: [u8; HEADER_SIZE]) -> (Self::Id, Self::Place);
+
+    /// The 8 bytes on the wire.
+    fn write(id: Self::Id, place: Self::Place) -> [u8; HEADER_SIZE];
+
+    /// Whether no sender uses `place`, since nothing would be after it.
+    fn never_used(place: Self::Place) -> bool;
+
+    /// That `place` is not after `last`, if it is not.
+    fn is_stale(place: Self::Place, last: Self::Place) -> Option<OpenError>;
+}
+
+impl Specified for Header {
+    fn id(number: u32) -> SenderId {
+        SenderId(number)
+    }
+
+    fn place_of(_: u16, counter: u32) -> u32 {
+        counter
+    }
+
+    fn read([a, b, c, d, e, f, g, h]: [u8; HEADER_SIZE]) -> (SenderId, u32) {
+        let id = u32::from_be_bytes([a, b, c, d]);
+        (SenderId(id), u32::from_be_bytes([e, f, g, h]))
+    }
+
+    fn write(id: SenderId, counter: u32) -> [u8; HEADER_SIZE] {
+        (u64::from(id.0) << 32 | u64::from(counter)).to_be_bytes()
+    }
+
+    fn never_used(counter: u32) -> bool {
+        counter == 0xFFFF_FFFF
+    }
+
+    fn is_stale(counter: u32, last: u32) -> Option<OpenError> {
+        (counter <= last).then_some(OpenError::Stale { counter, last })
+    }
+}
+
+impl Specified for EpochHeader {
+    fn id(number: u32) -> EpochSenderId {
+        EpochSenderId(number as u16)
+    }
+
+    fn place_of(epoch: u16, counter: u32) -> EpochCounter {
+        EpochCounter { epoch, counter }
+    }
+
+    fn read([a, b, c, d, e, f, g, h]: [u8; HEADER_SIZE]) -> (EpochSenderId, EpochCounter) {
+        let counter = u32::from_be_bytes([a, b, c, d]);
+        let epoch = u16::from_be_bytes([e, f]);
+        let id = u16::from_be_bytes([g, h]);
+        (EpochSenderId(id), EpochCounter { epoch, counter })
+    }
+
+    fn write(id: EpochSenderId, place: EpochCounter) -> [u8; HEADER_SIZE] {
+        let counter = u64::from(place.counter) << 32;
+        let epoch = u64::from(place.epoch) << 16;
+        (counter | epoch | u64::from(id.0)).to_be_bytes()
+    }
+
+    fn never_used(EpochCounter { epoch, counter }: EpochCounter) -> bool {
+        epoch == 0xFFFF || counter == 0xFFFF_FFFF
+    }
+
+    fn is_stale(place: EpochCounter, last: EpochCounter) -> Option<OpenError> {
+        let newer =
+            place.epoch > last.epoch || (place.epoch == last.epoch && place.counter > last.counter);
+        (!newer).then_some(OpenError::StaleInEpoch { place, last })
+    }
+}
+
 /// The nonce of a package, by the definition: the salt, then the header as it is sent.
 #[must_use]
-pub fn nonce_of(salt: u32, header: Header) -> Nonce {
+pub fn nonce_of<H: Specified>(salt: u32, id: H::Id, place: H::Place) -> Nonce {
     let mut nonce = [0; SALT_SIZE + HEADER_SIZE];
     nonce[..4].copy_from_slice(&salt.to_be_bytes());
-    nonce[4..8].copy_from_slice(&header.sender.0.to_be_bytes());
-    nonce[8..].copy_from_slice(&header.counter.to_be_bytes());
+    nonce[4..].copy_from_slice(&H::write(id, place));
     nonce
 }

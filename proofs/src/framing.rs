@@ -266,8 +266,8 @@ mod harness {
     #[kani::unwind(12)]
     fn f1_comes_through_3() {
         let payload: [u8; LENGTH] = kani::any();
-        kani::cover!(payload[0] == BOUNDARY && payload[2] == ESCAPE, "escaped");
         comes_through(&mut Decoder::any(), any_tag(), &payload);
+        kani::cover!(payload[0] == BOUNDARY && payload[2] == ESCAPE, "escaped");
     }
 
     #[kani::proof]

@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 
 use mavlink_commsec::hx::{Decoder, Frame, Tag};
-use mavlink_commsec::{Cipher, Credential, Message, Opener, Sealer, SenderId};
+use mavlink_commsec::{Cipher, Credential, EpochHeader, Header, Message, Opener, Sealer};
+
+use crate::cipher::Specified;
 
 /// How many ends a link has: a vehicle, 0, and two stations, 1 and 2.
 pub const ENDS: usize = 3;
@@ -34,83 +36,148 @@ pub enum Step {
         /// The byte.
         byte: u8,
     },
-    /// An end is switched off and on again. It has marks in storage: one above what it sealed last, and
-    /// those that it accepted last.
+    /// An end is switched off and on again. It has marks in storage: one above what it sealed last, or the
+    /// next epoch, and those that it accepted last.
     Restart {
         /// Which end, counted round.
         end: u8,
-        /// How far above what it sealed last its mark is.
+        /// How far above what it sealed last its mark is, or how often it was switched on in between.
         ahead: u8,
     },
+}
+
+/// A header, and how those who use it start again.
+pub trait Linked: Specified {
+    /// The mark of an end that has never been switched on, in a history that begins at `first`.
+    fn first_mark(first: u32) -> u64;
+
+    /// The mark after this run, which began with `mark`.
+    fn next_mark<C: Cipher>(mark: u64, sealer: &Option<Sealer<C, Self>>, ahead: u8) -> u64;
+
+    /// A sender that begins with `mark`, if it can.
+    fn start<C: Cipher>(own: &Credential<Self::Id>, mark: u64) -> Option<Sealer<C, Self>>;
+
+    /// A place as a number that no other has.
+    fn number(place: Self::Place) -> u64;
+}
+
+/// The mark is a counter above all that were used.
+impl Linked for Header {
+    fn first_mark(first: u32) -> u64 {
+        first.into()
+    }
+
+    fn next_mark<C: Cipher>(_: u64, sealer: &Option<Sealer<C>>, ahead: u8) -> u64 {
+        let next = sealer.as_ref().and_then(Sealer::next_counter);
+        u64::from(next.unwrap_or(u32::MAX)) + u64::from(ahead)
+    }
+
+    fn start<C: Cipher>(own: &Credential, mark: u64) -> Option<Sealer<C>> {
+        let first = mark.try_into().unwrap_or(u32::MAX);
+        let key = own.prepare().expect("a key");
+        Some(Sealer::resume(key, own.id, first))
+    }
+
+    fn number(counter: u32) -> u64 {
+        counter.into()
+    }
+}
+
+/// The mark is the next epoch.
+impl Linked for EpochHeader {
+    fn first_mark(first: u32) -> u64 {
+        // So that histories at the end of all counters are at the end of all epochs.
+        (first >> 16).into()
+    }
+
+    fn next_mark<C: Cipher>(mark: u64, _: &Option<Sealer<C, Self>>, ahead: u8) -> u64 {
+        mark + 1 + u64::from(ahead)
+    }
+
+    fn start<C: Cipher>(own: &Credential<Self::Id>, mark: u64) -> Option<Sealer<C, Self>> {
+        let key = own.prepare().expect("a key");
+        Sealer::begin(key, own.id, mark).ok()
+    }
+
+    fn number(place: Self::Place) -> u64 {
+        place.to_number()
+    }
 }
 
 /// What the naive model knows, in plain numbers and sets.
 #[derive(Default)]
 struct Naive {
-    /// Everything sent: by whom, with which counter.
-    sent: Vec<(usize, u32)>,
-    /// Every nonce: salt, sender, counter.
-    nonces: BTreeSet<(u32, u32, u32)>,
-    /// Everything accepted: by whom, from whom, with which counter.
-    accepted: BTreeSet<(usize, usize, u32)>,
+    /// Everything sent: by whom, with which number.
+    sent: Vec<(usize, u64)>,
+    /// Every nonce: salt, sender, number.
+    nonces: BTreeSet<(u32, usize, u64)>,
+    /// Everything accepted: by whom, from whom, with which number.
+    accepted: BTreeSet<(usize, usize, u64)>,
 }
 
 impl Naive {
     /// Whether `to` accepts a package that arrives intact: it is newer than all before.
-    fn accepts(&self, to: usize, from: usize, counter: u32) -> bool {
+    fn accepts(&self, to: usize, from: usize, number: u64) -> bool {
         let hears = to != from && (to == 0 || from == 0);
         let before =
-            |(by, of, old): &(usize, usize, u32)| *by == to && *of == from && *old >= counter;
+            |(by, of, old): &(usize, usize, u64)| *by == to && *of == from && *old >= number;
         hears && !self.accepted.iter().any(before)
     }
 }
 
-/// One end: what it seals with, what it opens with, and its serial line.
-struct End<C: Cipher> {
-    sealer: Sealer<C>,
-    opener: Opener<2, C>,
+/// One end: what it seals with, if it can, what it opens with, and its serial line.
+struct End<C: Cipher, H: Linked> {
+    mark: u64,
+    sealer: Option<Sealer<C, H>>,
+    opener: Opener<2, C, H>,
     decoder: Decoder,
 }
 
+/// The id of the vehicle.
+const VEHICLE: u32 = 7;
+
 /// What the key file says of end `end`.
-fn credential(end: usize) -> Credential {
+fn credential<H: Specified>(end: usize) -> Credential<H::Id> {
     let end = end as u8;
     Credential {
-        id: SenderId(u32::from(end) + 7),
+        id: H::id(VEHICLE + u32::from(end)),
         key: [end + 1; 16],
-        salt: 1000 + u32::from(end % 2),
+        salt: salt(end.into()),
     }
 }
 
-/// Whom `end` hears: a station the vehicle, the vehicle both stations.
-fn peers(end: usize) -> Vec<Credential> {
-    let ends = if end == 0 { 1..ENDS } else { 0..1 };
-    ends.map(credential).collect()
+fn salt(end: usize) -> u32 {
+    1000 + (end % 2) as u32
 }
 
-impl<C: Cipher> End<C> {
-    fn start(end: usize, first: u32, last: impl Fn(SenderId) -> u32) -> Self {
-        let own = credential(end);
-        let key = own.prepare().expect("a key");
+/// Whom `end` hears: a station the vehicle, the vehicle both stations.
+fn peers<H: Specified>(end: usize) -> Vec<Credential<H::Id>> {
+    let ends = if end == 0 { 1..ENDS } else { 0..1 };
+    ends.map(credential::<H>).collect()
+}
+
+impl<C: Cipher, H: Linked> End<C, H> {
+    fn start(end: usize, mark: u64, last: impl Fn(H::Id) -> H::Place) -> Self {
         Self {
-            sealer: Sealer::resume(key, own.id, first),
-            opener: Opener::of(&peers(end), last).expect("there is room"),
+            mark,
+            sealer: H::start(&credential::<H>(end), mark),
+            opener: Opener::of(&peers::<H>(end), last).expect("there is room"),
             decoder: Decoder::new(),
         }
     }
 
     fn restart(&mut self, end: usize, ahead: u8) {
-        let next = self.sealer.next_counter().unwrap_or(u32::MAX);
+        let mark = H::next_mark(self.mark, &self.sealer, ahead);
         let lasts: Vec<_> = self.opener.senders().collect();
         let last = |sender| {
             let mut known = lasts.iter();
             known.find(|(id, _)| *id == sender).expect("known").1
         };
-        *self = Self::start(end, next.saturating_add(ahead.into()), last);
+        *self = Self::start(end, mark, last);
     }
 
-    /// What is accepted of the packages in `line`: from whom, with which counter, and the message.
-    fn receive(&mut self, line: &[u8]) -> Vec<(usize, u32, Message)> {
+    /// What is accepted of the packages in `line`: from whom, with which number, and the message.
+    fn receive(&mut self, line: &[u8]) -> Vec<(usize, u64, Message)> {
         let mut accepted = Vec::new();
         for byte in line {
             let Some(Ok(frame)) = self.decoder.push(*byte) else {
@@ -120,8 +187,8 @@ impl<C: Cipher> End<C> {
                 continue;
             }
             if let Ok(opened) = self.opener.open(frame.payload()) {
-                let from = (opened.sender().0 - 7) as usize;
-                accepted.push((from, opened.counter(), *opened.message()));
+                let from = (opened.sender().into().0 - VEHICLE) as usize;
+                accepted.push((from, H::number(opened.place()), *opened.message()));
             }
         }
         accepted
@@ -138,28 +205,38 @@ fn message(number: usize) -> Message {
 /// and is newer than those accepted of its sender is accepted, with the message that was sealed. Returns
 /// how many were accepted.
 ///
-/// Every end counts from `first`.
+/// Every end counts from `first`, or begins with an epoch that is made of it.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
 #[must_use]
-pub fn history<C: Cipher>(first: u32, steps: &[Step]) -> usize {
-    let mut ends: [End<C>; ENDS] = core::array::from_fn(|end| End::start(end, first, |_| 0));
+pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
+    let mark = H::first_mark(first);
+    let mut ends: [End<C, H>; ENDS] =
+        core::array::from_fn(|end| End::start(end, mark, |_| H::BEFORE_ALL));
     let mut naive = Naive::default();
     let mut lines: Vec<Vec<u8>> = Vec::new();
     for step in steps {
         match *step {
             Step::Send { from } => {
                 let from = usize::from(from) % ENDS;
-                let sealer = &mut ends[from].sealer;
-                let counter = sealer.next_counter();
+                let Some(sealer) = &mut ends[from].sealer else {
+                    continue;
+                };
+                let place = sealer.next_place();
                 let sealed = sealer.seal(&message(lines.len()));
-                assert_eq!(sealed.is_ok(), counter.is_some());
-                if let (Ok(package), Some(counter)) = (sealed, counter) {
-                    let Credential { id, salt, .. } = credential(from);
-                    assert!(naive.nonces.insert((salt, id.0, counter)), "a nonce twice");
-                    naive.sent.push((from, counter));
+                assert_eq!(sealed.is_ok(), place.is_some());
+                if let (Ok(package), Some(place)) = (sealed, place) {
+                    // What it was sealed under stands in front of it.
+                    let header = package.as_bytes().first_chunk().expect("96 bytes");
+                    assert_eq!(H::read(*header), (credential::<H>(from).id, place));
+                    let number = H::number(place);
+                    assert!(
+                        naive.nonces.insert((salt(from), from, number)),
+                        "a nonce twice"
+                    );
+                    naive.sent.push((from, number));
                     lines.push(Frame::from(&package).encode().collect());
                 }
             }
@@ -167,13 +244,13 @@ pub fn history<C: Cipher>(first: u32, steps: &[Step]) -> usize {
                 let Some(sent) = which(lines.len(), back) else {
                     continue;
                 };
-                let (from, counter) = naive.sent[sent];
+                let (from, number) = naive.sent[sent];
                 for (to, end) in ends.iter_mut().enumerate() {
                     let accepted = end.receive(&lines[sent]);
                     let mut expected = Vec::new();
-                    if naive.accepts(to, from, counter) {
-                        naive.accepted.insert((to, from, counter));
-                        expected.push((from, counter, message(sent)));
+                    if naive.accepts(to, from, number) {
+                        naive.accepted.insert((to, from, number));
+                        expected.push((from, number, message(sent)));
                     }
                     assert_eq!(accepted, expected, "at {to}");
                 }
@@ -210,7 +287,11 @@ fn which(count: usize, back: u8) -> Option<usize> {
 #[cfg(test)]
 mod twins {
     use super::*;
+    use embedded_storage::nor_flash::NorFlash as _;
     use mavlink_commsec::AesGcm;
+    use mavseal_store::{Mark, Region};
+
+    use crate::mark::{Cut, Small};
 
     /// A step, and what it is about: in order, twice, late.
     fn step(random: &mut fastrand::Rng) -> Step {
@@ -252,11 +333,17 @@ mod twins {
         };
         let count = random.usize(..24);
         let steps: Vec<_> = (0..count).map(|_| step(&mut random)).collect();
-        let run = std::panic::catch_unwind(|| history::<AesGcm>(first, &steps));
+        let run = std::panic::catch_unwind(|| {
+            if seed.is_multiple_of(4) {
+                history::<AesGcm, EpochHeader>(first, &steps)
+            } else {
+                history::<AesGcm, Header>(first, &steps)
+            }
+        });
         run.unwrap_or_else(|_| panic!("history {seed}: {first}, {steps:?}"))
     }
 
-    /// 100,000 histories, two at a time.
+    /// 100,000 histories, a quarter of them with epochs, two at a time.
     #[test]
     fn o1_histories() {
         let half = |from: u64| move || (from..from + 50_000).map(run).sum::<usize>();
@@ -270,7 +357,11 @@ mod twins {
     fn n1_history_by_hand() {
         let send = |from| Step::Send { from };
         let deliver = |back| Step::Deliver { back };
-        let check = |steps: &[Step]| history::<AesGcm>(1, steps);
+        let check = |steps: &[Step]| {
+            let accepted = history::<AesGcm, Header>(1, steps);
+            assert_eq!(history::<AesGcm, EpochHeader>(1, steps), accepted);
+            accepted
+        };
         // The vehicle's package is accepted by both stations, a station's by the vehicle.
         assert_eq!(check(&[send(0), deliver(0)]), 2);
         assert_eq!(check(&[send(1), deliver(0), send(2), deliver(0)]), 2);
@@ -289,8 +380,50 @@ mod twins {
         assert_eq!(check(&new), 2);
         // At the end of all counters nothing is sent.
         let last = [send(1), deliver(0), send(1), deliver(0)];
-        assert_eq!(history::<AesGcm>(u32::MAX - 1, &last), 1);
-        assert_eq!(history::<AesGcm>(u32::MAX, &last), 0);
+        assert_eq!(history::<AesGcm, Header>(u32::MAX - 1, &last), 1);
+        assert_eq!(history::<AesGcm, Header>(u32::MAX, &last), 0);
+        // And none in the epoch behind the last.
+        assert_eq!(history::<AesGcm, EpochHeader>(0xFFFE_0000, &new), 1);
+        assert_eq!(history::<AesGcm, EpochHeader>(0xFFFF_0000, &last), 0);
+    }
+
+    /// Epochs from a mark in flash, one for each start and stored before it is used, while the power fails
+    /// anywhere: none is used twice.
+    #[test]
+    fn n1_epochs_of_a_mark_in_flash() {
+        let region = Region {
+            start: 0,
+            page_size: Small::ERASE_SIZE as u32,
+        };
+        let mut random = fastrand::Rng::with_seed(8);
+        let (mut begun, mut failed) = (0, 0);
+        for _ in 0..200 {
+            let mut flash = Small::default();
+            let mut used = BTreeSet::new();
+            for _ in 0..40 {
+                flash.restart(Cut {
+                    after: random.u8(..4),
+                    left: random.u32(..).to_le_bytes(),
+                });
+                let Ok(mut mark) = Mark::open(&mut flash, region) else {
+                    failed += 1;
+                    continue;
+                };
+                let epoch = mark.get();
+                if mark.reserve(epoch, 0).is_err() {
+                    failed += 1;
+                    continue;
+                }
+                let own = credential::<EpochHeader>(0);
+                let sealer = EpochHeader::start::<AesGcm>(&own, epoch).expect("an epoch is left");
+                assert!(used.insert(sealer.next_place().expect("a counter is left").epoch));
+                begun += 1;
+            }
+        }
+        assert!(
+            begun > 1000 && failed > 1000,
+            "{begun} begun, {failed} failed"
+        );
     }
 
     /// Every bit of a frame, changed before the frame itself arrives.
@@ -299,7 +432,8 @@ mod twins {
         for bit in 0..8 * 195 {
             let damage = Step::Damage { back: 0, bit };
             let steps = [Step::Send { from: 0 }, damage, Step::Deliver { back: 0 }];
-            assert_eq!(history::<AesGcm>(1, &steps), 2);
+            assert_eq!(history::<AesGcm, Header>(1, &steps), 2);
+            assert_eq!(history::<AesGcm, EpochHeader>(1, &steps), 2);
         }
     }
 }

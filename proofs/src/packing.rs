@@ -2,39 +2,119 @@
 
 use core::time::Duration;
 
+use mavlink_commsec::field::MESSAGE_SIZE;
 use mavlink_commsec::{Message, PackError, Packer, UnpackError, packets};
+
+/// What a packer is told when it is made.
+#[derive(Clone, Copy, Debug)]
+pub struct Kind {
+    /// Whether it packs for old vehicles: 72 bytes, and MAVLink 1 alone.
+    pub old: bool,
+    /// How long a packet may wait.
+    pub patience: Duration,
+}
+
+impl Kind {
+    /// Bytes of a message that packets may lie in.
+    #[must_use]
+    pub const fn size(self) -> usize {
+        if self.old { 72 } else { 80 }
+    }
+
+    /// The packer.
+    #[must_use]
+    pub const fn packer(self) -> Packer {
+        if self.old {
+            Packer::for_old_vehicles(self.patience)
+        } else {
+            Packer::new(self.patience)
+        }
+    }
+
+    /// Why `packet` is refused, in the order in which that is looked for; the length of a first packet in
+    /// it says where another one begins.
+    fn refuses(self, packet: &[u8]) -> Option<Fault> {
+        let Some(length) = announced(packet).filter(|length| *length <= packet.len()) else {
+            return Some(Fault::Parse);
+        };
+        match length {
+            _ if self.old && packet[0] != 0xFE => Some(Fault::OldVehicle),
+            length if length < packet.len() => Some(Fault::Trailing(packet.len() - length)),
+            length if length > self.size() => Some(Fault::TooLong(length)),
+            _ => None,
+        }
+    }
+}
+
+/// Why a packet is refused.
+#[derive(Debug, PartialEq, Eq)]
+enum Fault {
+    Parse,
+    OldVehicle,
+    Trailing(usize),
+    TooLong(usize),
+}
+
+impl From<PackError> for Fault {
+    fn from(error: PackError) -> Self {
+        match error {
+            PackError::Parse(_) => Self::Parse,
+            PackError::OldVehicle => Self::OldVehicle,
+            PackError::Trailing(length) => Self::Trailing(length),
+            PackError::TooLong(length) => Self::TooLong(length),
+            other => unreachable!("{other}"),
+        }
+    }
+}
 
 /// P1: of the packets given to a packer, those that are whole and fit into a message come out of its
 /// messages again, whole, unchanged and in order; every other one is refused with the reason and counted;
-/// behind the last packet of a message there are zeros alone. `polls` says whether the packer is asked for
-/// what is due after each packet. Returns how many messages there were.
+/// behind the last packet of a message there are zeros alone. A message makes room if and only if the next
+/// packet does not fit into it; when it is asked for, one comes if and only if it holds a HEARTBEAT or its
+/// first packet has waited long enough. `polls` says whether the packer is asked after each packet.
+/// Returns how many messages there were.
+///
+/// The times go up.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn packed(packer: &mut Packer, size: usize, given: &[(&[u8], Duration)], polls: bool) -> usize {
+#[must_use]
+pub fn packed(kind: Kind, given: &[(&[u8], Duration)], polls: bool) -> usize {
+    let mut packer = kind.packer();
     let mut messages = Vec::new();
     let mut fitting = Vec::new();
     let mut refused = 0;
+    // Of what is pending: bytes, since when, and whether a HEARTBEAT is among it.
+    let (mut bytes, mut since, mut due) = (0, Duration::ZERO, false);
     for (packet, now) in given {
-        match packer.push(packet, *now) {
-            Ok(message) => {
-                messages.extend(message);
-                assert!(packet.len() <= size);
-                fitting.push(*packet);
+        let pushed = packer.push(packet, *now);
+        let fault = pushed.as_ref().err().map(|error| Fault::from(*error));
+        assert_eq!(fault, kind.refuses(packet));
+        if let Ok(message) = pushed {
+            let full = bytes + packet.len() > kind.size();
+            assert_eq!(message.is_some(), full);
+            if full {
+                (bytes, due) = (0, false);
             }
-            Err(PackError::TooLong(length)) => {
-                assert_eq!(length, packet.len());
-                assert!(length > size);
-                refused += 1;
+            if bytes == 0 {
+                since = *now;
             }
-            Err(_) => {
-                assert!(!is_whole(packet));
-                refused += 1;
-            }
+            bytes += packet.len();
+            due |= is_heartbeat(packet);
+            messages.extend(message);
+            fitting.push(*packet);
+        } else {
+            refused += 1;
         }
         if polls {
-            messages.extend(packer.poll(*now));
+            let message = packer.poll(*now);
+            let leaves = bytes > 0 && (due || *now - since >= kind.patience);
+            assert_eq!(message.is_some(), leaves);
+            if leaves {
+                (bytes, due) = (0, false);
+            }
+            messages.extend(message);
         }
     }
     messages.extend(packer.flush());
@@ -49,22 +129,85 @@ pub fn packed(packer: &mut Packer, size: usize, given: &[(&[u8], Duration)], pol
             assert_eq!(packet, &message[end..end + packet.len()]);
             end += packet.len();
         }
-        assert!(end > 0 && end <= size);
+        assert!(end > 0 && end <= kind.size());
         assert!(message[end..].iter().all(|byte| *byte == 0));
     }
     assert_eq!(expected.next(), None);
     messages.len()
 }
 
+/// Whether a whole packet is a HEARTBEAT: message 0.
+fn is_heartbeat(packet: &[u8]) -> bool {
+    match packet[0] {
+        0xFE => packet[5] == 0,
+        _ => packet[7..10] == [0, 0, 0],
+    }
+}
+
+/// The length that a packet of MAVLink 1 or 2 announces; none if its header is cut or it is neither.
+fn announced(packet: &[u8]) -> Option<usize> {
+    match packet {
+        [0xFE, length, _, _, _, _, ..] => Some(8 + usize::from(*length)),
+        [0xFD, length, 0, _, _, _, _, _, _, _, ..] => Some(12 + usize::from(*length)),
+        [0xFD, length, 1, _, _, _, _, _, _, _, ..] => Some(25 + usize::from(*length)),
+        _ => None,
+    }
+}
+
+/// P1, two packets that fit into a message each: the second makes room if and only if there is none for
+/// both; what comes out holds them whole and in order, and zeros behind them.
+///
+/// `at` is an index below 80 at which the messages are looked at. Returns whether they share one.
+///
+/// # Panics
+///
+/// If the property does not hold.
+#[must_use]
+pub fn two_packets(one: &[u8], two: &[u8], at: usize) -> bool {
+    let is_alone = |message: Option<Message>, packet: &[u8]| {
+        let message = message.expect("a message");
+        assert_eq!(message[at], packet.get(at).copied().unwrap_or(0));
+    };
+    let mut packer = Packer::new(Duration::MAX);
+    let pushed = packer.push(one, Duration::ZERO);
+    assert_eq!(pushed, Ok(None));
+    let room = packer
+        .push(two, Duration::ZERO)
+        .expect("it fits into a message");
+    let shared = one.len() + two.len() <= MESSAGE_SIZE;
+    assert_eq!(room.is_none(), shared);
+    if shared {
+        let message = packer.flush().expect("both");
+        let expected = one.get(at).or_else(|| two.get(at - one.len()));
+        assert_eq!(message[at], expected.copied().unwrap_or(0));
+    } else {
+        is_alone(room, one);
+        is_alone(packer.flush(), two);
+    }
+    assert_eq!(packer.flush(), None);
+    shared
+}
+
+/// P1, asking for a message: one comes if and only if the packet that was packed is a HEARTBEAT, or was
+/// packed as long ago as a packet may wait; it holds the packet whole, and zeros behind it.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn asked_later(packet: &[u8], patience: Duration, later: Duration, at: usize) {
+    let mut packer = Packer::new(patience);
+    let pushed = packer.push(packet, Duration::ZERO);
+    assert_eq!(pushed, Ok(None));
+    let message = packer.poll(later);
+    assert_eq!(message.is_some(), is_heartbeat(packet) || later >= patience);
+    if let Some(message) = message {
+        assert_eq!(message[at], packet.get(at).copied().unwrap_or(0));
+    }
+}
+
 /// Whether the length of a packet of MAVLink 1 or 2 is the one that it announces.
 fn is_whole(packet: &[u8]) -> bool {
-    let announced = match packet {
-        [0xFE, length, ..] => 8 + usize::from(*length),
-        [0xFD, length, 0, ..] => 12 + usize::from(*length),
-        [0xFD, length, 1, ..] => 25 + usize::from(*length),
-        _ => return false,
-    };
-    packet.len() == announced
+    announced(packet) == Some(packet.len())
 }
 
 /// P1's other side: any message is unpacked without a panic; the packets in it do not overlap, and with
@@ -111,8 +254,12 @@ pub fn unpacked(message: &Message) -> Result<usize, UnpackError> {
 #[cfg(test)]
 mod twins {
     use super::*;
-    use mavlink_commsec::OLD_VEHICLE_SIZE;
     use proptest::prelude::*;
+
+    const KIND: Kind = Kind {
+        old: false,
+        patience: Duration::from_secs(1),
+    };
 
     /// A packet, whole or not; ids are small, so that there are heartbeats.
     fn packet() -> impl Strategy<Value = Vec<u8>> {
@@ -161,12 +308,7 @@ mod twins {
                     (&packet[..], now)
                 })
                 .collect();
-            let (mut packer, size) = if old {
-                (Packer::for_old_vehicles(patience), OLD_VEHICLE_SIZE)
-            } else {
-                (Packer::new(patience), 80)
-            };
-            packed(&mut packer, size, &given, polls);
+            let _ = packed(Kind { old, patience }, &given, polls);
         }
 
         #[test]
@@ -181,19 +323,32 @@ mod twins {
     }
 
     /// Every length of a packet behind every other.
+    /// A packet of MAVLink 1 that is no HEARTBEAT.
+    fn whole(length: usize) -> Vec<u8> {
+        let mut packet = vec![0xFE, length as u8, 1, 1, 1, 30];
+        packet.resize(length + 8, 0xEE);
+        packet
+    }
+
+    /// What the proofs look at, for all pairs of lengths.
+    #[test]
+    fn p1_two_of_every_length() {
+        for (a, b) in (8..=80).flat_map(|a| (8..=80).map(move |b| (a, b))) {
+            let (one, two) = (whole(a - 8), whole(b - 8));
+            for (later, at) in [(4, 0), (5, a - 1), (6, (a + b - 1) % 80)] {
+                assert_eq!(two_packets(&one, &two, at), a + b <= 80);
+                asked_later(&one, Duration::from_secs(5), Duration::from_secs(later), at);
+            }
+        }
+    }
+
     #[test]
     fn p1_every_length() {
-        let whole = |length: usize| {
-            let mut packet = vec![0xFE, length as u8, 1, 1, 1, 30];
-            packet.resize(length + 8, 0xEE);
-            packet
-        };
         for first in 0..=80 {
             for second in 0..=80 {
-                let [one, two] = [whole(first), whole(second)];
+                let [one, two] = [first, second].map(whole);
                 let given = [(&one[..], Duration::ZERO), (&two[..], Duration::ZERO)];
-                let mut packer = Packer::new(Duration::from_secs(1));
-                let messages = packed(&mut packer, 80, &given, false);
+                let messages = packed(KIND, &given, false);
                 let fit = [one.len(), two.len()].map(|length| length <= 80);
                 let expected = match fit {
                     [false, false] => 0,
@@ -218,28 +373,37 @@ mod harness {
         packet
     }
 
-    fn check<const A: usize, const B: usize>(expected: usize) {
-        let (one, two) = (any_packet::<A>(), any_packet::<B>());
-        let mut packer = Packer::new(Duration::from_millis(kani::any::<u16>().into()));
-        let now = || Duration::from_millis(kani::any::<u16>().into());
-        let polls = kani::any();
-        let given = [(&one[..], now()), (&two[..], now())];
-        let messages = packed(&mut packer, 80, &given, polls);
-        kani::cover!(messages == expected && !polls, "as many as are needed");
-        kani::cover!(messages == 2, "one for each");
+    fn any_index() -> usize {
+        let at = kani::any();
+        kani::assume(at < MESSAGE_SIZE);
+        at
     }
 
     /// Two that fill a message.
     #[kani::proof]
     #[kani::unwind(82)]
     fn p1_two_fit() {
-        check::<40, 40>(1);
+        let shared = two_packets(&any_packet::<40>(), &any_packet::<40>(), any_index());
+        assert!(shared);
     }
 
     /// Two that do not fit into one.
     #[kani::proof]
     #[kani::unwind(82)]
     fn p1_two_do_not_fit() {
-        check::<40, 41>(2);
+        let shared = two_packets(&any_packet::<40>(), &any_packet::<41>(), any_index());
+        assert!(!shared);
+    }
+
+    #[kani::proof]
+    #[kani::unwind(82)]
+    fn p1_asked_later() {
+        let times: [u32; 2] = kani::any();
+        let [patience, later] = times.map(|seconds| Duration::from_secs(seconds.into()));
+        let packet = any_packet::<40>();
+        kani::cover!(later < patience && packet[5] == 0, "a heartbeat");
+        kani::cover!(later < patience && packet[5] != 0, "in time");
+        asked_later(&packet, patience, later, any_index());
+        kani::cover!(later >= patience, "waited");
     }
 }

@@ -32,6 +32,44 @@
 //! fn seals(key: Key) -> [Sealer; 2] { [Sealer::new(key, SenderId(1)), Sealer::new(key, SenderId(1))] }
 //! ```
 //!
+//! A key belongs to one header, and so does what the key file says of a sender: there is no sealer of the
+//! one format with a key of the other, and no list of peers of both.
+//!
+//! ```
+//! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, Key, Sealer};
+//! fn seals(key: Key<AesGcm, EpochHeader>) -> Result<Sealer<AesGcm, EpochHeader>, EpochError> {
+//!     Sealer::begin(key, EpochSenderId(1), 0)
+//! }
+//! ```
+//!
+//! ```compile_fail
+//! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, Key, Sealer};
+//! fn seals(key: Key<AesGcm>) -> Result<Sealer<AesGcm, EpochHeader>, EpochError> {
+//!     Sealer::begin(key, EpochSenderId(1), 0)
+//! }
+//! ```
+//!
+//! ```compile_fail
+//! use mavlink_commsec::{AesGcm, EpochHeader, Key, Sealer, SenderId};
+//! fn seals(key: Key<AesGcm, EpochHeader>) -> Sealer { Sealer::new(key, SenderId(1)) }
+//! ```
+//!
+//! ```
+//! use mavlink_commsec::{Credential, SenderId};
+//! const PEERS: [Credential; 2] = [
+//!     Credential { id: SenderId(1), key: [1; 16], salt: 1 },
+//!     Credential { id: SenderId(2), key: [2; 16], salt: 2 },
+//! ];
+//! ```
+//!
+//! ```compile_fail
+//! use mavlink_commsec::{Credential, EpochSenderId, SenderId};
+//! const PEERS: [Credential; 2] = [
+//!     Credential { id: SenderId(1), key: [1; 16], salt: 1 },
+//!     Credential { id: EpochSenderId(2), key: [2; 16], salt: 2 },
+//! ];
+//! ```
+//!
 //! A package is not made by hand, with a counter of somebody's choice:
 //!
 //! ```compile_fail
@@ -39,37 +77,99 @@
 //! ```
 
 use mavlink_commsec::field::{HEADER_SIZE, MESSAGE_SIZE};
-use mavlink_commsec::{Header, Key, Message, Package, SealError, Sealer, SenderId};
+use mavlink_commsec::{
+    EpochCounter, EpochError, EpochHeader, EpochSenderId, Header, Key, Message, Package, SealError,
+    Sealer, SenderId,
+};
 
-use crate::cipher::{Told, Verdict, nonce_of};
+use crate::cipher::{Specified, Told, Verdict, nonce_of};
 
 /// N1, from any state that a sender can be resumed in: what is sealed next is sealed under the salt, the
 /// sender's id and a counter that is at least 1, at least `first`, and one greater each time; after
 /// 2^32 - 2 nothing is sealed any more, now and later; what the cipher could not seal is not sent, and
 /// uses its counter up.
 ///
-/// `at` is an index below 80 at which the sealed message is looked at. Returns the counter of the last
-/// package.
+/// `at` is an index below 80 at which the sealed messages are looked at. Returns the counter of the last
+/// package. As a sender in any state is one resumed there, one message says it of all.
 ///
 /// # Errors
 ///
-/// Why one of the two messages was not sealed.
+/// Why the last of the messages was not sealed.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn two_packages(
+pub fn packages(
     [salt, id, first]: [u32; 3],
     verdict: Verdict,
-    messages: &[Message; 2],
+    messages: &[Message],
     at: usize,
 ) -> Result<u32, SealError> {
     let key = Key::<Told>::new(&Told::key(verdict), salt).expect("a key");
-    let mut sealer = Sealer::resume(key, SenderId(id), first);
-    let mut expected = Some(first.max(1)).filter(|counter| *counter < u32::MAX);
+    let sealer = Sealer::resume(key, SenderId(id), first);
+    seals::<Header>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
+}
+
+/// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch; 65,535 and
+/// what has more than 16 bits is no epoch.
+///
+/// # Errors
+///
+/// [`EpochError`]; and why the last of the messages was not sealed.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn packages_of_epoch(
+    salt: u32,
+    id: u16,
+    mark: u64,
+    verdict: Verdict,
+    messages: &[Message],
+    at: usize,
+) -> Result<Result<u32, SealError>, EpochError> {
+    let key = Key::<Told, EpochHeader>::new(&Told::key(verdict), salt).expect("a key");
+    let sealer = Sealer::begin(key, EpochSenderId(id), mark);
+    assert_eq!(sealer.is_ok(), mark < 0xFFFF);
+    let sealer = sealer?;
+    let epoch = mark as u16;
+    assert_eq!(
+        sealer.next_place(),
+        Some(EpochCounter { epoch, counter: 1 })
+    );
+    Ok(seals::<EpochHeader>(
+        sealer,
+        salt,
+        id.into(),
+        epoch,
+        1,
+        verdict,
+        messages,
+        at,
+    ))
+}
+
+/// Seals `messages`, and compares with what must come out, from counter `first` on.
+#[allow(
+    clippy::too_many_arguments,
+    reason = "each is a part of the nonce, or what is sealed"
+)]
+fn seals<H: Specified>(
+    mut sealer: Sealer<Told, H>,
+    salt: u32,
+    id: u32,
+    epoch: u16,
+    first: u32,
+    verdict: Verdict,
+    messages: &[Message],
+    at: usize,
+) -> Result<u32, SealError> {
+    let mut expected = Some(first).filter(|counter| *counter < u32::MAX);
     let mut last = Ok(0);
     for message in messages {
         assert_eq!(sealer.next_counter(), expected);
+        let place = expected.map(|counter| H::place_of(epoch, counter));
+        assert_eq!(sealer.next_place(), place);
         let sealed = sealer.seal(message);
         last = match expected {
             None => {
@@ -81,24 +181,30 @@ pub fn two_packages(
                 Err(SealError::Cipher)
             }
             Some(counter) => {
-                let sender = SenderId(id);
-                let header = Header { sender, counter };
-                is_sealed(&sealed.expect("it can be"), salt, header, message, at);
+                let header = (H::id(id), H::place_of(epoch, counter));
+                is_sealed::<H>(&sealed.expect("it can be"), salt, header, message, at);
                 Ok(counter)
             }
         };
         expected = expected.map(|counter| counter + 1);
         expected = expected.filter(|counter| *counter < u32::MAX);
     }
-    assert_eq!(sealer.id(), SenderId(id));
+    assert_eq!(sealer.next_counter(), expected);
+    assert_eq!(sealer.id(), H::id(id));
     last
 }
 
-/// `package` is `header`, `message` sealed under salt and header, and the tag of that.
-fn is_sealed(package: &Package, salt: u32, header: Header, message: &Message, at: usize) {
+/// `package` is the header, `message` sealed under salt and header, and the tag of that.
+fn is_sealed<H: Specified>(
+    package: &Package,
+    salt: u32,
+    (id, place): (H::Id, H::Place),
+    message: &Message,
+    at: usize,
+) {
     let bytes = package.as_bytes();
-    let nonce = nonce_of(salt, header);
-    assert_eq!(bytes[..HEADER_SIZE], header.to_wire());
+    let nonce = nonce_of::<H>(salt, id, place);
+    assert_eq!(bytes[..HEADER_SIZE], H::write(id, place));
     assert_eq!(bytes[..HEADER_SIZE], nonce[4..]);
     let tag = Told::tag(&nonce);
     assert_eq!(bytes[HEADER_SIZE + MESSAGE_SIZE..], tag);
@@ -118,7 +224,7 @@ mod twins {
     ) -> Result<u32, SealError> {
         let mut last = Ok(0);
         for at in 0..MESSAGE_SIZE {
-            last = two_packages(numbers, verdict, &messages, at);
+            last = packages(numbers, verdict, &messages, at);
         }
         last
     }
@@ -129,6 +235,41 @@ mod twins {
             let verdict = if verdict == 0 { Verdict::Fails } else { Verdict::Right };
             let message = |from: [u8; 32]| std::array::from_fn(|at| from[at % 32] ^ at as u8);
             let _ = check(numbers, verdict, [message(a), message(b)]);
+        }
+
+        #[test]
+        fn n1_random_epochs(salt: u32, id: u16, mark: u64, short: u16, a: [u8; 32]) {
+            let message = std::array::from_fn(|at| a[at % 32]);
+            for mark in [mark, short.into()] {
+                let sealed = check_epoch(salt, id, mark, Verdict::Right, [message, [0; 80]]);
+                assert_eq!(sealed.is_ok(), mark < 0xFFFF);
+            }
+        }
+    }
+
+    fn check_epoch(
+        salt: u32,
+        id: u16,
+        mark: u64,
+        verdict: Verdict,
+        messages: [Message; 2],
+    ) -> Result<Result<u32, SealError>, EpochError> {
+        let mut last = Ok(Ok(0));
+        for at in 0..MESSAGE_SIZE {
+            last = packages_of_epoch(salt, id, mark, verdict, &messages, at);
+        }
+        last
+    }
+
+    #[test]
+    fn n1_edges_of_epochs() {
+        let check = |mark, verdict| check_epoch(0xDEAD_BEEF, 5, mark, verdict, [[1; 80], [2; 80]]);
+        for mark in [0, 1, 0xFF, 0x100, 0xFFFE] {
+            assert_eq!(check(mark, Verdict::Right), Ok(Ok(2)));
+            assert_eq!(check(mark, Verdict::Fails), Ok(Err(SealError::Cipher)));
+        }
+        for mark in [0xFFFF, 0x1_0000, 0x1_0001, u64::MAX] {
+            assert_eq!(check(mark, Verdict::Right), Err(EpochError));
         }
     }
 
@@ -163,7 +304,7 @@ mod harness {
 
     #[kani::proof]
     #[kani::unwind(97)]
-    fn n1_two_packages() {
+    fn n1_package() {
         let verdict = if kani::any() {
             Verdict::Right
         } else {
@@ -172,10 +313,27 @@ mod harness {
         let at = kani::any();
         kani::assume(at < MESSAGE_SIZE);
         let numbers: [u32; 3] = kani::any();
-        let last = two_packages(numbers, verdict, &kani::any(), at);
+        let last = packages(numbers, verdict, &[kani::any()], at);
         kani::cover!(last == Ok(u32::MAX - 1), "the last counter of all");
         kani::cover!(last == Err(SealError::CounterExhausted), "exhausted");
         kani::cover!(last == Err(SealError::Cipher), "a unit that fails");
-        kani::cover!(last == Ok(2) && numbers[2] == 0, "resumed at 0");
+        kani::cover!(last == Ok(1) && numbers[2] == 0, "resumed at 0");
+    }
+
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn n1_package_of_epoch() {
+        let verdict = if kani::any() {
+            Verdict::Right
+        } else {
+            Verdict::Fails
+        };
+        let at = kani::any();
+        kani::assume(at < MESSAGE_SIZE);
+        let (salt, id, mark) = (kani::any(), kani::any(), kani::any());
+        let last = packages_of_epoch(salt, id, mark, verdict, &[kani::any()], at);
+        kani::cover!(last == Ok(Ok(1)) && mark == 0xFFFE, "the last epoch of all");
+        kani::cover!(last == Err(EpochError) && mark == 0x1_0000, "no epoch");
+        kani::cover!(last == Ok(Err(SealError::Cipher)), "a unit that fails");
     }
 }

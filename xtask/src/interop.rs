@@ -1,7 +1,8 @@
-//! `cargo xtask interop`: the standard's signature against unmodified peers, frame by frame and live.
+//! `cargo xtask interop`: the standard's signature against unmodified peers, frame by frame and live;
+//! sealed packages against another AES-GCM.
 //!
 //! The frame-by-frame part is the crate in `interop/`, which builds the peers written in Rust and asks
-//! pymavlink over a pipe. The live part is here: pymavlink and MAVProxy at an emulated signer.
+//! those in Python over a pipe. The live part is here: pymavlink and MAVProxy at an emulated signer.
 
 mod live;
 
@@ -44,7 +45,7 @@ pub(crate) struct Options {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Part {
-    /// Every message, both ways, and frames that must not pass
+    /// Every message, both ways, and frames that must not pass; sealed packages too
     Frames,
     /// pymavlink and MAVProxy at the signer in QEMU
     Live,
@@ -128,6 +129,8 @@ struct Peers {
     /// Where they are, below the target directory.
     folder: PathBuf,
     python: PathBuf,
+    /// One that has `cryptography`.
+    sealing_python: PathBuf,
     dialect: PathBuf,
     messages: PathBuf,
 }
@@ -141,6 +144,8 @@ impl Peers {
         let folder = folder.canonicalize()?;
         let requirements = root().join("interop/python/requirements.txt");
         let python = setup::python(&folder.join("python"), &requirements)?;
+        let requirements = root().join("interop/python/sealed.txt");
+        let sealing_python = setup::python(&folder.join("sealed"), &requirements)?;
 
         let (definition, messages) = tables::largest()?;
         let mut list = String::new();
@@ -157,6 +162,7 @@ impl Peers {
         Ok(Self {
             folder,
             python,
+            sealing_python,
             dialect,
             messages,
         })
@@ -168,6 +174,7 @@ impl Peers {
         command.current_dir(root().join("interop"));
         command.args(["run", "--quiet", "--locked", "--"]);
         command.arg("--python").arg(&self.python);
+        command.arg("--sealing-python").arg(&self.sealing_python);
         command.arg("--dialect").arg(&self.dialect);
         command.arg("--messages").arg(&self.messages);
         command.args(["--seed", &seed.to_string()]);

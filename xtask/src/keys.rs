@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use clap::Args;
-use mavseal_keys::{Exceptions, KeyFile};
+use mavseal_keys::{Exceptions, Header, KeyFile};
 
 /// Options of `cargo xtask keys`.
 #[derive(Args)]
@@ -15,8 +15,11 @@ pub(crate) struct Options {
     /// How many ground stations
     #[arg(long, value_name = "N", default_value_t = 1)]
     stations: usize,
+    /// The header of the packages that they seal: `id-counter` or `counter-epoch-id`
+    #[arg(long, default_value = Header::default().name(), value_parser = header)]
+    header: Header,
     /// Make nothing; say who has keys in the file, which may be a Keys.mk, or what is wrong with it
-    #[arg(long, conflicts_with = "stations")]
+    #[arg(long, conflicts_with_all = ["stations", "header"])]
     check: bool,
     /// With --check: let keys pass that were published
     #[arg(long, requires = "check")]
@@ -24,6 +27,10 @@ pub(crate) struct Options {
     /// With --check: let several stations have one key
     #[arg(long, requires = "check")]
     shared_station_keys: bool,
+}
+
+fn header(name: &str) -> Result<Header> {
+    Header::named(name).ok_or_else(|| anyhow!("there is no header {name}"))
 }
 
 /// Makes or checks a key file.
@@ -39,14 +46,15 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         };
         KeyFile::read(path, exceptions)?
     } else {
-        let file = KeyFile::generate(options.stations)?;
+        let file = KeyFile::generate(options.stations)?.with_header(options.header)?;
         file.write_new(path)?;
         file
     };
     let ids = file.stations().iter().map(|station| station.id.to_string());
     println!(
-        "{}: vehicle {}; stations {}",
+        "{}: header {}; vehicle {}; stations {}",
         path.display(),
+        file.header().name(),
         file.vehicle().id,
         Vec::from_iter(ids).join(", ")
     );

@@ -26,8 +26,19 @@ use crate::setup::root;
 use outcome::{Results, Survivors};
 
 /// The packages that are changed, and those that have the tests.
-const CORES: [&str; 2] = ["mavlink-signing", "mavseal-relay"];
-const TESTS: [&str; 3] = ["mavlink-signing", "mavseal-relay", "mavseal-proofs"];
+const CORES: [&str; 4] = [
+    "mavlink-signing",
+    "mavlink-commsec",
+    "mavseal-store",
+    "mavseal-relay",
+];
+const TESTS: [&str; 5] = [
+    "mavlink-signing",
+    "mavlink-commsec",
+    "mavseal-store",
+    "mavseal-relay",
+    "mavseal-proofs",
+];
 
 /// What is compiled with a feature alone: the feature, and which mutants are tried once more with it.
 const FEATURE: [&str; 2] = ["mavlink-signing/fast-checksum", "by_tables|low::"];

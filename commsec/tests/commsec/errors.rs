@@ -3,8 +3,8 @@
 use std::error::Error;
 
 use mavlink_commsec::{
-    CipherError, DecodeError, FrameError, KeyError, OpenError, PackError, PermitError, RadioError,
-    SealError, SenderId, UnpackError,
+    CipherError, DecodeError, EpochCounter, EpochError, FrameError, KeyError, OpenError, PackError,
+    PermitError, RadioError, SealError, SenderId, UnpackError,
 };
 use mavlink_signing::ParseError;
 
@@ -14,11 +14,16 @@ fn texts() {
         counter: 2,
         last: 3,
     };
+    let place = |epoch, counter| EpochCounter { epoch, counter };
+    let stale_in_epoch = OpenError::StaleInEpoch {
+        place: place(1, 9),
+        last: place(2, 1),
+    };
     let unpack = UnpackError {
         offset: 9,
         fault: ParseError::Truncated,
     };
-    let texts: [(&dyn Error, &str); 24] = [
+    let texts: [(&dyn Error, &str); 29] = [
         (&CipherError, "the cipher refused"),
         (
             &KeyError::WrongLength(15),
@@ -28,6 +33,15 @@ fn texts() {
         (
             &PermitError::Key(KeyError::AllZero),
             "a key of zeros only is no key",
+        ),
+        (&KeyError::Erased, "a key of 0xFF only is erased flash"),
+        (
+            &OpenError::NoCounter(SenderId(5)),
+            "sender 5 has used up its counters, or its epochs",
+        ),
+        (
+            &PackError::OldVehicle,
+            "a MAVLink 2 packet for a vehicle of MAVLink 1",
         ),
         (&PermitError::NoSender, "a key without a sender"),
         (
@@ -49,6 +63,11 @@ fn texts() {
             "sender 16 is not permitted",
         ),
         (&stale, "counter 2 is not newer than 3, the last accepted"),
+        (&EpochError, "all epochs of the key are used up"),
+        (
+            &stale_in_epoch,
+            "counter 9 of epoch 1 is not newer than 1 of epoch 2, the last accepted",
+        ),
         (
             &OpenError::KeyWornOut,
             "too many wrong tags: the key is worn out",

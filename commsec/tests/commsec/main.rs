@@ -1,6 +1,7 @@
 //! Commsec against what is known of it: reference packages, an acceptance trace, conformance strings.
 
 mod common;
+mod epochs;
 mod errors;
 mod framing;
 mod opening;

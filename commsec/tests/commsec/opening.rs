@@ -1,7 +1,8 @@
 //! Opening: the acceptance trace, the order of checks, and what a refusal leaves behind.
 
 use mavlink_commsec::{
-    Credential, FAILED_OPENS_LIMIT, KeyError, OpenError, Opener, PermitError, Sealer, SenderId,
+    AesGcm, Cipher as _, Credential, FAILED_OPENS_LIMIT, KeyError, Nonce, OpenError, Opener,
+    PermitError, Sealer, SenderId,
 };
 
 use crate::common::{assert_refused, hex, key, last, message, receiver, seal};
@@ -210,6 +211,22 @@ fn resumed_receiver_refuses_what_was_before() {
     resumed.expect("there is room");
     assert_refused(&mut opener, &hex(B.package), stale(1, 1));
     assert!(opener.open(&hex(B2.package)).is_ok());
+}
+
+/// A genuine package with the counter behind the last one would make its sender's row refuse everything.
+#[test]
+fn no_counter() {
+    let nonce: Nonce = hex("0000435300000005ffffffff")
+        .try_into()
+        .expect("12 bytes");
+    let mut sealed = [7; 80];
+    let cipher = AesGcm::new(hex(BASE_KEY)[..].try_into().expect("16 bytes"));
+    let tag = cipher.seal(&nonce, &mut sealed).expect("AES does not fail");
+    let package = [&nonce[4..], &sealed, &tag].concat();
+    let mut opener = receiver(BASE_KEY, BASE_SALT, [5]);
+    assert_refused(&mut opener, &package, OpenError::NoCounter(SenderId(5)));
+    assert_eq!(opener.failed_opens(SenderId(5)), Some(0));
+    assert!(opener.open(&hex(B.package)).is_ok());
 }
 
 /// The last counter is accepted like any other; behind it there is nothing.

@@ -125,6 +125,12 @@ fn old_vehicles() {
     );
     assert_eq!(packer.push(&packet(1, 36), START), Ok(None));
     assert_eq!(packer.push(&packet(2, 36), START), Ok(None));
+    // Nor do they know MAVLink 2, of whatever length.
+    for size in [12, 36, 72, 80] {
+        let refused = packer.push(&packet2(1, size), START);
+        assert_eq!(refused, Err(PackError::OldVehicle));
+    }
+    assert_eq!(packer.refused(), 5);
     let full = packer.push(&packet(3, 8), START).expect("a packet");
     let full = full.expect("a message");
     assert_eq!(full[OLD_VEHICLE_SIZE..], [0; 8]);

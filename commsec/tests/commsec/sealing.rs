@@ -2,8 +2,8 @@
 
 use mavlink_commsec::field::{HEADER_SIZE, MESSAGE_SIZE};
 use mavlink_commsec::{
-    AesGcm, Cipher, CipherError, Credential, Key, KeyError, Message, Nonce, SealError, Sealer,
-    SenderId, Tag, ZeroizeOnDrop,
+    AesGcm, Cipher, CipherError, Credential, Key, KeyError, Message, Nonce, Packer, SealError,
+    Sealer, SenderId, Tag, ZeroizeOnDrop, packets,
 };
 
 use crate::common::{hex, key, message, seal};
@@ -134,6 +134,21 @@ impl Cipher for Unit {
     }
 }
 
+/// Erased flash is no key either; one bit of another makes one.
+#[test]
+fn key_of_erased_flash() {
+    let made = |bytes: &[u8]| Key::<AesGcm>::new(bytes, 0).err();
+    assert_eq!(made(&[0xFF; 16]), Some(KeyError::Erased));
+    for at in [0, 7, 15] {
+        let mut bytes = [0xFF; 16];
+        bytes[at] = 0xFE;
+        assert_eq!(made(&bytes), None);
+        let mut bytes = [0; 16];
+        bytes[at] = 1;
+        assert_eq!(made(&bytes), None);
+    }
+}
+
 /// What a unit failed to seal is not sent, and its counter is not used again.
 #[test]
 fn failed_unit_uses_the_counter_up() {
@@ -167,6 +182,14 @@ fn debug_shows_no_secrets() {
             "{:?}",
             crate::common::receiver(BASE_KEY, BASE_SALT, [5]).open(&hex(vectors::B.package))
         ),
+        {
+            let mut packer = Packer::new(core::time::Duration::ZERO);
+            let packet = [0xFE, 2, 0, 1, 1, 30, 0x41, 0x42, 3, 4];
+            let pushed = packer.push(&packet, core::time::Duration::ZERO);
+            assert_eq!(pushed, Ok(None));
+            format!("{packer:?}")
+        },
+        format!("{:?}", packets(&[0x41; MESSAGE_SIZE])),
     ];
     let expected = [
         "Key(redacted)",
@@ -174,6 +197,8 @@ fn debug_shows_no_secrets() {
         "Credential { id: SenderId(5), .. }",
         "Sealer { key: Key(redacted), id: SenderId(5), next: 1 }",
         "Ok(Opened { header: Header { sender: SenderId(5), counter: 1 }, .. })",
+        "Packer { pending: 10, refused: 0, .. }",
+        "Packets { rest: 80 }",
     ];
     assert_eq!(shown, expected);
 }

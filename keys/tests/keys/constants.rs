@@ -1,7 +1,7 @@
 //! The constants compile, and are those of the file: both ends of the example link.
 
-use mavlink_commsec::{Opener, Sealer};
-use mavseal_keys::{KeyFile, Who};
+use mavlink_commsec::{AesGcm, EpochHeader, EpochSenderId, HeaderFormat as _, Opener, Sealer};
+use mavseal_keys::{Header, KeyFile, Who};
 
 use crate::{KEYS_MK, PUBLISHED};
 
@@ -15,6 +15,11 @@ mod station {
     include!("station.rs");
 }
 
+#[allow(missing_docs)]
+mod epoch_vehicle {
+    include!("epoch_vehicle.rs");
+}
+
 /// The files beside this one are what a build script would write.
 #[test]
 fn files_are_what_is_made() {
@@ -22,6 +27,27 @@ fn files_are_what_is_made() {
     let made = |who| file.constants(who).expect("a sender");
     assert_eq!(*made(Who::Vehicle), include_str!("vehicle.rs"));
     assert_eq!(*made(Who::Station(5)), include_str!("station.rs"));
+    let file = file.with_header(Header::CounterEpochId);
+    let made = file.expect("small ids").constants(Who::Vehicle);
+    assert_eq!(*made.expect("a sender"), include_str!("epoch_vehicle.rs"));
+}
+
+/// With the other header the constants are of another type, which the other sealer takes.
+#[test]
+fn constants_with_epochs() {
+    let own = &epoch_vehicle::OWN;
+    let key = own.prepare::<AesGcm>().expect("a key");
+    let mut sealer = Sealer::begin(key, own.id, 3).expect("an epoch is left");
+    let package = sealer.seal(&[7; 80]).expect("a counter is left");
+    assert_eq!(package.as_bytes()[..8], [0, 0, 0, 1, 0, 3, 0, 7]);
+    let peers = &epoch_vehicle::PEERS;
+    let none = EpochHeader::BEFORE_ALL;
+    let opener = Opener::<1, AesGcm, EpochHeader>::of(peers, |_| none);
+    let opener = opener.expect("there is room");
+    assert_eq!(
+        opener.senders().collect::<Vec<_>>(),
+        [(EpochSenderId(5), none)]
+    );
 }
 
 /// With them, a vehicle and a station hear each other.

@@ -2,7 +2,7 @@
 
 use std::{fs, path::PathBuf};
 
-use mavseal_keys::{Exceptions, KeyFile, KeyFileError, MAX_STATIONS, Sender, Who};
+use mavseal_keys::{Exceptions, Header, KeyFile, KeyFileError, MAX_STATIONS, Sender, Who};
 
 mod constants;
 
@@ -22,17 +22,17 @@ header = "id-counter"
 
 [vehicle]
 id = 0
-key = "b5cc1a3e8f8d5a6c01f2d8c37b0e94aa"
+key = "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab"
 salt = 3735928559
 
 [[station]]
 id = 1
-key = "7d0f6a1be4c2935808de17ab4f5c6e22"
+key = "8e1f7b2ce4c2935808de17ab4f5c6e22"
 salt = 305419896
 
 [[station]]
 id = 4000000000
-key = "7D0F6A1BE4C2935808DE17AB4F5C6E23"
+key = "8E1F7B2CE4C2935808DE17AB4F5C6E23"
 salt = 0
 "#;
 
@@ -90,8 +90,10 @@ fn published_keys_are_refused() {
         "0f0e0d0c0b0a09080706050403020100",
         "0102030405060708090a0b0c0d0e0f10",
         "1817161514131211100f0e0d0c0b0a09",
+        "7d0f6a1be4c2935808de17ab4f5c6e22",
+        "b5cc1a3e8f8d5a6c01f2d8c37b0e94aa",
     ] {
-        let text = TOML.replace("7d0f6a1be4c2935808de17ab4f5c6e22", first);
+        let text = TOML.replace("8e1f7b2ce4c2935808de17ab4f5c6e22", first);
         assert!(matches!(toml(&text), Err(KeyFileError::Published(1))));
         assert!(KeyFile::from_toml(&text, PUBLISHED).is_ok());
     }
@@ -190,15 +192,15 @@ fn toml_is_read() {
 
 #[test]
 fn faults_of_toml() {
-    let vehicle_key = "b5cc1a3e8f8d5a6c01f2d8c37b0e94aa";
-    let station_key = "7d0f6a1be4c2935808de17ab4f5c6e22";
+    let vehicle_key = "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab";
+    let station_key = "8e1f7b2ce4c2935808de17ab4f5c6e22";
     let elsewhere = "not what a key file has there";
     let not_16 = "the key of sender 0 is not 16 bytes, as 32 hexadecimal digits";
     for (from, to, expected) in [
         (
             "id-counter",
-            "counter-epoch-id",
-            "the header is not `id-counter`, the only one that is known here".to_owned(),
+            "epoch-id",
+            "the header is neither `id-counter` nor `counter-epoch-id`".to_owned(),
         ),
         (
             "header = \"id-counter\"\n",
@@ -242,6 +244,32 @@ fn faults_of_toml() {
             "the key of sender 0 is all zeros".to_owned(),
         ),
         (
+            vehicle_key,
+            &"fF".repeat(16),
+            "the key of sender 0 is all ones: erased flash".to_owned(),
+        ),
+        (
+            "id-counter",
+            "counter-epoch-id",
+            "id 4000000000 is too large for the header `counter-epoch-id`".to_owned(),
+        ),
+        // One file has one header, and no sender one of his own: what would be two formats under one key.
+        (
+            "salt = 0\n",
+            "salt = 0\nheader = \"counter-epoch-id\"\n",
+            format!("line 18: {elsewhere}"),
+        ),
+        (
+            "header = \"id-counter\"\n",
+            "header = \"id-counter\"\nheader = \"counter-epoch-id\"\n",
+            format!("line 3: {elsewhere}"),
+        ),
+        (
+            "header = \"id-counter\"\n",
+            "header = [\"id-counter\", \"counter-epoch-id\"]\n",
+            format!("line 2: {elsewhere}"),
+        ),
+        (
             "id = 4000000000",
             "id = 1",
             "id 1 is given twice".to_owned(),
@@ -267,10 +295,47 @@ fn faults_of_toml() {
     }
 }
 
+/// The file that the documentation shows is no key file: its keys are published.
+#[test]
+fn example_of_the_documentation_is_refused() {
+    let readme = include_str!("../../README.md");
+    let (_, rest) = readme.split_once("```toml\n").expect("an example");
+    let (example, _) = rest.split_once("```").expect("its end");
+    assert!(matches!(toml(example), Err(KeyFileError::Published(0))));
+    assert!(KeyFile::from_toml(example, PUBLISHED).is_ok());
+}
+
+#[test]
+fn headers() {
+    let small = TOML.replacen("4000000000", "65535", 1);
+    assert_eq!(
+        toml(&small).expect("a key file").header(),
+        Header::IdCounter
+    );
+    let epochs = small.replacen("id-counter", "counter-epoch-id", 1);
+    let file = toml(&epochs).expect("a key file");
+    assert_eq!(file.header(), Header::CounterEpochId);
+    assert_eq!(toml(&file.to_toml()).expect("a key file"), file);
+    let other = toml(&small).and_then(|file| file.with_header(Header::CounterEpochId));
+    assert_eq!(other.expect("ids of 16 bits"), file);
+    let large = toml(&small.replacen("65535", "65536", 1));
+    let large = large.and_then(|file| file.with_header(Header::CounterEpochId));
+    assert!(matches!(large, Err(KeyFileError::IdTooLarge(65_536, _))));
+    assert_eq!(
+        keys_mk(KEYS_MK).expect("a key file").header(),
+        Header::IdCounter
+    );
+    assert_eq!(
+        Header::named("counter-epoch-id"),
+        Some(Header::CounterEpochId)
+    );
+    assert_eq!(Header::named(""), None);
+}
+
 /// An error quotes nothing that may be a key, wherever in the file it stands.
 #[test]
 fn errors_show_no_keys() {
-    let key = "b5cc1a3e8f8d5a6c01f2d8c37b0e94aa";
+    let key = "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab";
     let quoted = format!("\"{key}\"");
     for text in [
         TOML.replacen("id = 0", &format!("id = {quoted}"), 1),
@@ -293,7 +358,7 @@ fn errors_show_no_keys() {
     let shown = format!("{file:?}");
     assert_eq!(
         shown,
-        "KeyFile { vehicle: Sender { id: 0, .. }, stations: [Sender { id: 1, .. }, Sender { id: 4000000000, .. }] }"
+        "KeyFile { header: IdCounter, vehicle: Sender { id: 0, .. }, stations: [Sender { id: 1, .. }, Sender { id: 4000000000, .. }] }"
     );
 }
 
@@ -320,7 +385,7 @@ fn number_of_stations() {
             .map(|id| sender(id, id as u8, 1))
             .collect()
     };
-    let read = |count| KeyFile::checked(sender(0, 255, 1), stations(count), Exceptions::default());
+    let read = |count| KeyFile::checked(sender(0, 254, 1), stations(count), Exceptions::default());
     for count in [0, MAX_STATIONS + 1] {
         assert!(matches!(read(count), Err(KeyFileError::StationCount(n)) if n == count));
     }
@@ -367,6 +432,12 @@ fn files() {
     let read = KeyFile::read(&path, Exceptions::default());
     assert_eq!(read.expect("a key file"), file);
 
+    let make = folder.path().join("mine.mk");
+    assert!(matches!(
+        other.write_new(&make),
+        Err(KeyFileError::NameOfKeysMk)
+    ));
+    assert!(!make.exists());
     let old: PathBuf = folder.path().join("Keys.mk");
     fs::write(&old, KEYS_MK).expect("written");
     let read = KeyFile::read(&old, PUBLISHED).expect("a key file");

@@ -141,7 +141,7 @@ fn coverage(text: &mut String, coverage: &Coverage) {
         );
     }
     for (target, lines) in &coverage.targets {
-        row(text, &[&format!("both, `{target}`"), &lines.to_string()]);
+        row(text, &[&format!("all, `{target}`"), &lines.to_string()]);
     }
     let missed = |missed: &[String]| match missed {
         [] => "none".to_owned(),

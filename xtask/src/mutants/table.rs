@@ -61,7 +61,9 @@ pub(super) fn rows(results: &Results) -> String {
                     |---|---|---|---|---|---|---|\n"
         .to_owned();
     let packages = CORES.map(|package| (package, results.count(Some(package))));
-    for (package, count) in packages.into_iter().chain([("both", results.count(None))]) {
+    // What was not tried yet has no row.
+    let packages = packages.into_iter().filter(|(_, count)| count.all() > 0);
+    for (package, count) in packages.chain([("all", results.count(None))]) {
         let Count {
             killed,
             survived,

@@ -1,0 +1,304 @@
+//! The header of a package, in two formats: who sealed it, and when in his order.
+
+use core::fmt;
+
+use crate::error::OpenError;
+use crate::field::HEADER_SIZE;
+
+/// Who sealed a package: a vehicle or a ground station, by the number that the key file gives it.
+///
+/// Any number; SMACCMPilot's own receivers know only 0 to 15.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct SenderId(
+    /// The number.
+    pub u32,
+);
+
+/// Who sealed a package with an [`EpochHeader`], which has 16 bits for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EpochSenderId(
+    /// The number.
+    pub u16,
+);
+
+impl From<EpochSenderId> for SenderId {
+    fn from(id: EpochSenderId) -> Self {
+        Self(id.0.into())
+    }
+}
+
+impl fmt::Display for SenderId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl fmt::Display for EpochSenderId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// What a package says of itself, unsealed but under the tag. The format that SMACCMPilot speaks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Header {
+    /// Who sealed it.
+    pub sender: SenderId,
+    /// Its place among everything that this sender seals: 1 to 2^32 - 2.
+    pub counter: u32,
+}
+
+impl Header {
+    /// The header in its 8 bytes on the wire, big-endian.
+    #[must_use]
+    pub const fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self {
+        let [a, b, c, d, e, f, g, h] = *wire;
+        Self {
+            sender: SenderId(u32::from_be_bytes([a, b, c, d])),
+            counter: u32::from_be_bytes([e, f, g, h]),
+        }
+    }
+
+    /// Its 8 bytes on the wire, big-endian.
+    #[must_use]
+    pub const fn to_wire(self) -> [u8; HEADER_SIZE] {
+        let [a, b, c, d] = self.sender.0.to_be_bytes();
+        let [e, f, g, h] = self.counter.to_be_bytes();
+        [a, b, c, d, e, f, g, h]
+    }
+}
+
+/// The header of SMACCMPilot's draft "commsec re-do", which nothing of theirs ever sent: one 16-bit
+/// number for each time that the sender was switched on.
+///
+/// ```text
+/// counter | epoch | sender id
+///    4    |   2   |     2        big-endian
+/// ```
+///
+/// A sender stores once at each start, not again and again while it counts. Receivers of the old
+/// format take it for another sender's package with a wrong tag.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EpochHeader {
+    /// Its place among everything that this sender seals.
+    pub place: EpochCounter,
+    /// Who sealed it.
+    pub sender: EpochSenderId,
+}
+
+impl EpochHeader {
+    /// The header in its 8 bytes on the wire, big-endian.
+    #[must_use]
+    pub const fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self {
+        let [a, b, c, d, e, f, g, h] = *wire;
+        Self {
+            place: EpochCounter {
+                epoch: u16::from_be_bytes([e, f]),
+                counter: u32::from_be_bytes([a, b, c, d]),
+            },
+            sender: EpochSenderId(u16::from_be_bytes([g, h])),
+        }
+    }
+
+    /// Its 8 bytes on the wire, big-endian.
+    #[must_use]
+    pub const fn to_wire(self) -> [u8; HEADER_SIZE] {
+        let [a, b, c, d] = self.place.counter.to_be_bytes();
+        let [e, f] = self.place.epoch.to_be_bytes();
+        let [g, h] = self.sender.0.to_be_bytes();
+        [a, b, c, d, e, f, g, h]
+    }
+}
+
+/// An epoch and a counter in it. Of two, that of the later epoch is the later one, whatever the counters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EpochCounter {
+    // In front of the counter, since the derived order compares it first.
+    /// Which start of the sender: 0 to 2^16 - 2.
+    pub epoch: u16,
+    /// The place in the epoch: 1 to 2^32 - 2.
+    pub counter: u32,
+}
+
+impl EpochCounter {
+    /// The place that [`to_number`](Self::to_number) makes this number of; `None` beyond 48 bits.
+    #[must_use]
+    pub const fn from_number(number: u64) -> Option<Self> {
+        match number.to_be_bytes() {
+            [0, 0, a, b, c, d, e, f] => Some(Self {
+                epoch: u16::from_be_bytes([a, b]),
+                counter: u32::from_be_bytes([c, d, e, f]),
+            }),
+            _ => None,
+        }
+    }
+
+    /// Both as one number of 48 bits, the epoch in front, that goes up where this does: for a mark in
+    /// storage.
+    #[must_use]
+    pub const fn to_number(self) -> u64 {
+        let [a, b] = self.epoch.to_be_bytes();
+        let [c, d, e, f] = self.counter.to_be_bytes();
+        u64::from_be_bytes([0, 0, a, b, c, d, e, f])
+    }
+}
+
+impl fmt::Display for EpochCounter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { epoch, counter } = self;
+        write!(f, "{counter} of epoch {epoch}")
+    }
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for super::Header {}
+    impl Sealed for super::EpochHeader {}
+    impl Sealed for super::SenderId {}
+    impl Sealed for super::EpochSenderId {}
+}
+
+/// The two headers there are, [`Header`] and [`EpochHeader`]. Both are 8 bytes of the nonce, so that a key
+/// belongs to one of them.
+pub trait HeaderFormat: Copy + Eq + fmt::Debug + sealed::Sealed {
+    /// Who sealed a package.
+    type Id: Sender<Header = Self>;
+    /// A package's place among everything that its sender seals: later ones are greater.
+    type Place: Copy + Ord + fmt::Debug;
+    /// Before the first place of all.
+    const BEFORE_ALL: Self::Place;
+
+    /// The header of a package.
+    fn of(sender: Self::Id, place: Self::Place) -> Self;
+    /// Who sealed it.
+    fn sender(self) -> Self::Id;
+    /// Its place.
+    fn place(self) -> Self::Place;
+    /// The counter in a place.
+    fn counter(place: Self::Place) -> u32;
+    /// The place with the next counter.
+    fn after(place: Self::Place) -> Self::Place;
+    /// The header in its 8 bytes on the wire.
+    fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self;
+    /// Its 8 bytes on the wire.
+    fn wire(self) -> [u8; HEADER_SIZE];
+    /// Whether its place is behind all that a sender uses.
+    fn is_end(self) -> bool;
+    /// That its place is not after `last`.
+    fn stale(self, last: Self::Place) -> OpenError;
+}
+
+/// An id, whose type says which header it stands in.
+pub trait Sender: Copy + Eq + fmt::Debug + Into<SenderId> + sealed::Sealed {
+    /// That header.
+    type Header: HeaderFormat<Id = Self>;
+}
+
+impl Sender for SenderId {
+    type Header = Header;
+}
+
+impl Sender for EpochSenderId {
+    type Header = EpochHeader;
+}
+
+impl HeaderFormat for Header {
+    type Id = SenderId;
+    type Place = u32;
+    const BEFORE_ALL: u32 = 0;
+
+    fn of(sender: SenderId, counter: u32) -> Self {
+        Self { sender, counter }
+    }
+
+    fn sender(self) -> SenderId {
+        self.sender
+    }
+
+    fn place(self) -> u32 {
+        self.counter
+    }
+
+    fn counter(place: u32) -> u32 {
+        place
+    }
+
+    fn after(place: u32) -> u32 {
+        place.saturating_add(1)
+    }
+
+    fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self {
+        Self::from_wire(wire)
+    }
+
+    fn wire(self) -> [u8; HEADER_SIZE] {
+        self.to_wire()
+    }
+
+    fn is_end(self) -> bool {
+        self.counter == u32::MAX
+    }
+
+    fn stale(self, last: u32) -> OpenError {
+        OpenError::Stale {
+            counter: self.counter,
+            last,
+        }
+    }
+}
+
+impl HeaderFormat for EpochHeader {
+    type Id = EpochSenderId;
+    type Place = EpochCounter;
+    const BEFORE_ALL: EpochCounter = EpochCounter {
+        epoch: 0,
+        counter: 0,
+    };
+
+    fn of(sender: EpochSenderId, place: EpochCounter) -> Self {
+        Self { place, sender }
+    }
+
+    fn sender(self) -> EpochSenderId {
+        self.sender
+    }
+
+    fn place(self) -> EpochCounter {
+        self.place
+    }
+
+    fn counter(place: EpochCounter) -> u32 {
+        place.counter
+    }
+
+    fn after(place: EpochCounter) -> EpochCounter {
+        EpochCounter {
+            counter: place.counter.saturating_add(1),
+            ..place
+        }
+    }
+
+    fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self {
+        Self::from_wire(wire)
+    }
+
+    fn wire(self) -> [u8; HEADER_SIZE] {
+        self.to_wire()
+    }
+
+    fn is_end(self) -> bool {
+        self.place.counter == u32::MAX || self.place.epoch == u16::MAX
+    }
+
+    fn stale(self, last: EpochCounter) -> OpenError {
+        OpenError::StaleInEpoch {
+            place: self.place,
+            last,
+        }
+    }
+}
