@@ -83,7 +83,7 @@ enum Refused {
 /// [`Failed`] at the first step that comes out otherwise.
 pub fn run(memory: &mut Memory, send: impl FnOnce(&[u8])) -> Result<(), Failed> {
     info!("MAVLink signing demo");
-    let Memory { wire, sender, key } = memory;
+    let Memory { wire, sender, key } = black_box(memory);
     let key = load(key).map_err(|_| Failed)?;
     let now = Timestamp::from_ticks(*black_box(&NOW)).ok_or(Failed)?;
     let stamp = Stamper::new(LINK_ID).stamp(now).map_err(|_| Failed)?;
