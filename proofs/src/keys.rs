@@ -246,6 +246,7 @@ pub fn change<P: Profile, M: Memory>(memories: [M; 2], events: &[Event]) -> u8 {
     let mut changes = 0;
     for event in events {
         let before = [&initiator, &responder].map(|end| (end.keys.phase(), end.signs_with(last)));
+        let signed = [&initiator, &responder].map(End::frame);
         let result = match *event {
             Event::Offer => {
                 let offered = initiator
@@ -332,6 +333,17 @@ pub fn change<P: Profile, M: Memory>(memories: [M; 2], events: &[Event]) -> u8 {
         ];
         assert!(deaf != [true, true], "both are deaf after {event:?}");
         assert!(!clean || deaf == [false, false], "{deaf:?} after {event:?}");
+        // What signed before is still accepted, unless a key was dropped or a restart found it so.
+        let drops = matches!(
+            event,
+            Event::Retire(_) | Event::Withdraw | Event::Setup(_) | Event::Restart(_)
+        );
+        for (end, frame) in [&initiator, &responder].into_iter().zip(&signed) {
+            assert!(
+                end.accepts(frame) || (drops && result.is_ok()),
+                "{event:?} dropped a key: {result:?}"
+            );
+        }
         for (end, (_, number)) in [&initiator, &responder].into_iter().zip(after) {
             assert!(number <= end.may_use, "key {number} is used too early");
         }
