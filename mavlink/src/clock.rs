@@ -51,7 +51,7 @@ pub enum Sync {
 /// | clock | a frame in the window | a frame outside of it |
 /// |---|---|---|
 /// | [`Sync::Synced`] | slews it | is refused, and moves nothing |
-/// | [`Sync::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that |
+/// | [`Sync::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::LEAP`] ahead, is refused |
 ///
 /// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
 /// the stamp by no more than a crystal may have gained or lost since it was set. A reservation is what the
@@ -61,8 +61,10 @@ pub enum Sync {
 /// An unsynced clock has nothing to hold against a frame. If it held its own time against one, two boards
 /// that had drifted together, or a frame of last week, recorded and played to it, would make it refuse all
 /// honest frames for ever. The price: it cannot tell how long a frame has been on its way, so that order
-/// alone protects it; and a peer whose clock is wrong takes it along. A board that has a clock to read, or
-/// is set on a trusted port, does not pay it.
+/// alone protects it: a recording that it never heard is accepted in its order. And a peer whose clock is
+/// wrong takes it along, by up to a [`Clock::LEAP`]: what it has accepted and stamped it does not go back
+/// behind, so that peers with the right time do not hear it, nor it them after a restart, until that time
+/// has come. A board that has a clock to read, or is set on a trusted port, does not pay it.
 ///
 /// All moments of the timer are ticks of 10 microseconds, from anywhere, and never go back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +75,7 @@ pub struct Clock {
     since: u64,
     /// Whether a trusted source has told it, when the timer showed `set`.
     told: bool,
-    /// When it was last set; steps and slews are counted from here.
+    /// When it was last set, or began; steps and slews are counted from here.
     set: u64,
     /// Ticks that bounded sources have moved it since.
     stepped: u64,
@@ -83,9 +85,16 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// The most that bounded sources move the clock until it is set again: a second, in ticks of 10
+    /// The most that bounded sources move the clock until a trusted one sets it: a second, in ticks of 10
     /// microseconds.
     pub const STEP: u64 = TICKS_PER_SECOND;
+
+    /// The most that a frame takes an unsynced clock forward: 365 days, in ticks of 10 microseconds. A board
+    /// without a clock that was off for longer is set on a trusted port.
+    ///
+    /// A clock that shows the first of these days after 2015 has never been told the time, nor heard it:
+    /// nothing bounds its first frame.
+    pub const LEAP: u64 = 365 * 24 * 3600 * TICKS_PER_SECOND;
 
     /// How wrong a timer on a crystal may be, unless [said otherwise](Clock::drifting): one tick in 2^12,
     /// which is 244 parts in a million.
@@ -130,16 +139,17 @@ impl Clock {
         }
     }
 
-    /// How long a trusted source is believed without being asked again: until two such clocks may be half
-    /// of [`Window::LINK`] apart. 17 hours on a crystal.
+    /// How long a trusted source is believed without being asked again: until two such clocks, each as far
+    /// off as it may drift and as far again as peers may have slewed it, are half of [`Window::LINK`] apart.
+    /// 8 hours and a half on a crystal.
     #[must_use]
     pub const fn holdover(&self) -> u64 {
-        (Window::LINK.past / 4) << self.drift
+        (Window::LINK.past / 8) << self.drift
     }
 
     /// Takes `time` from `source`. Gives the ticks that the clock went forward.
     ///
-    /// A bounded source moves it by [`Clock::STEP`] until it is set again; no more, however often it is
+    /// A bounded source moves it by [`Clock::STEP`] until a trusted one sets it; no more, however often it is
     /// asked. A time behind the clock says nothing, unless a trusted source tells it; [`Timestamp::ZERO`]
     /// never does.
     pub fn tell(&mut self, source: Source, time: Timestamp, timer: u64) -> u64 {
@@ -149,7 +159,7 @@ impl Clock {
         let ahead = time.ticks_since(self.now(timer));
         match source {
             Source::Trusted => {
-                self.set(time, timer);
+                *self = Self::unsynced(time, timer).drifting(self.drift);
                 self.told = true;
                 ahead
             }
@@ -163,12 +173,15 @@ impl Clock {
         }
     }
 
-    /// The moment to hold `stamp`, of an authentic frame, against: the time, if the clock knows it.
+    /// The moment to hold `stamp`, of an authentic frame, against: the time, if the clock knows it;
+    /// otherwise the stamp itself, unless that is more than [`Clock::LEAP`] ahead.
     #[must_use]
     pub fn judged_at(&self, stamp: Timestamp, timer: u64) -> Timestamp {
+        let now = self.now(timer);
         match self.sync(timer) {
-            Sync::Unsynced => stamp,
-            Sync::Synced => self.now(timer),
+            Sync::Synced => now,
+            Sync::Unsynced if now.ticks() < Self::LEAP => stamp,
+            Sync::Unsynced => stamp.min(now.saturating_add(Self::LEAP)),
         }
     }
 
@@ -179,10 +192,8 @@ impl Clock {
         match self.sync(timer) {
             Sync::Unsynced => {
                 let latest = stamp.saturating_add(RESERVATION);
-                let time = now.clamp(earlier(stamp, RESERVATION), latest);
-                if time != now {
-                    self.set(time, timer);
-                }
+                self.time = now.clamp(earlier(stamp, RESERVATION), latest);
+                self.since = timer;
             }
             Sync::Synced => {
                 let drifted = timer.saturating_sub(self.set) >> self.drift;
@@ -194,10 +205,6 @@ impl Clock {
                 self.since = timer;
             }
         }
-    }
-
-    fn set(&mut self, time: Timestamp, timer: u64) {
-        *self = Self::unsynced(time, timer).drifting(self.drift);
     }
 }
 

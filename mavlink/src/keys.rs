@@ -250,8 +250,9 @@ impl<P: Profile> Keys<P> {
         Ok(())
     }
 
-    /// Takes over `key`, which came from the other end, or in its place on a trusted port. If it is the old
-    /// key again, and the other end was not heard with the new one, the change is off.
+    /// Takes over `key`, which came from the other end, or in its place on a trusted port; also one that this
+    /// end has offered itself. If it is the old key again, and the other end was not heard with the new one,
+    /// the change is off. If it is the key in use, nothing changes.
     ///
     /// A third key has to wait: the other end may already sign with the second alone.
     ///
@@ -265,6 +266,11 @@ impl<P: Profile> Keys<P> {
     ) -> Result<(), KeyChangeError> {
         let new = SigningKey::new(key)?;
         if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+            // Otherwise two ends that were both told to offer it would wait for each other.
+            if self.phase == Phase::Offered {
+                store.store(KeyChange::Begin(key, Phase::Applied))?;
+                self.phase = Phase::Applied;
+            }
             return Ok(());
         }
         if self.phase == Phase::Applied && !self.heard && same(&new, &self.old) {

@@ -72,7 +72,7 @@ where
         keyed.finalize_fixed_core(&mut buffer, &mut whole);
         wipe(&mut buffer);
         mem::forget(buffer);
-        cut(whole)
+        cut(&mut whole)
     }
 }
 
@@ -115,7 +115,7 @@ where
         hash.finalize_fixed_core(&mut buffer, &mut whole);
         wipe(&mut buffer);
         mem::forget(buffer);
-        cut(whole)
+        cut(&mut whole)
     }
 }
 
@@ -127,12 +127,12 @@ fn wipe<BlockSize: BlockSizes>(buffer: &mut EagerBuffer<BlockSize>) {
 }
 
 /// The first 48 bits of a digest, which is wiped: the whole one would give tags of longer frames away.
-fn cut<Size: ArraySize>(mut digest: Array<u8, Size>) -> Tag {
+fn cut<Size: ArraySize>(digest: &mut Array<u8, Size>) -> Tag {
     let mut tag = [0; TAG_SIZE];
-    for (slot, byte) in tag.iter_mut().zip(&digest) {
+    for (slot, byte) in tag.iter_mut().zip(digest.iter()) {
         *slot = *byte;
     }
-    digest = Array::default();
-    optimization_barrier(&digest);
+    *digest = Array::default();
+    optimization_barrier(digest);
     tag
 }

@@ -54,6 +54,16 @@ impl Timestamp {
         }
     }
 
+    /// A timestamp from whole seconds since 1970; `None` before 2015 and beyond 48 bits. Without a division
+    /// of 64 bits, which takes a small part a kilobyte of flash.
+    #[must_use]
+    pub const fn from_unix_seconds(seconds: u64) -> Option<Self> {
+        match seconds.checked_sub(EPOCH_UNIX_SECONDS) {
+            Some(since_epoch) => Self::from_ticks(since_epoch.saturating_mul(TICKS_PER_SECOND)),
+            None => None,
+        }
+    }
+
     /// Ticks of 10 microseconds since 2015.
     #[must_use]
     pub const fn ticks(self) -> u64 {

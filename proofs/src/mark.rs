@@ -33,19 +33,33 @@ pub struct Cut {
     pub left: [u8; PAGE],
 }
 
+/// No enumeration with contents: a solver knows the parts of a structure better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Word {
+struct Word {
+    state: State,
+    bytes: [u8; WORD],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum State {
     Erased,
-    Written([u8; WORD]),
-    /// Reads well in the run after the cut, `true` then, and in no other.
-    Weak([u8; WORD], bool),
+    Written,
+    /// Reads well in the run after the cut, and in no other.
+    Weak,
+    /// Has been read in that run.
+    WeakRead,
     Bad,
 }
+
+const ERASED: Word = Word {
+    state: State::Erased,
+    bytes: [0xFF; WORD],
+};
 
 impl Default for Small {
     fn default() -> Self {
         Self {
-            words: [Word::Erased; WORDS],
+            words: [ERASED; WORDS],
             cut: Cut {
                 after: u8::MAX,
                 left: [0; PAGE],
@@ -59,8 +73,7 @@ impl Small {
     /// Power on, until `cut`. After a cut that left a word readable for a while, the next one leaves none:
     /// if every record of a page were of that kind, one after the other, none could be relied on.
     pub fn restart(&mut self, mut cut: Cut) {
-        let weak = |word: &Word| matches!(word, Word::Weak(_, false));
-        if self.words.iter().any(weak) {
+        if self.words.iter().any(|word| word.state == State::Weak) {
             for left in &mut cut.left {
                 if *left % 4 == 3 {
                     *left = 2;
@@ -68,9 +81,9 @@ impl Small {
             }
         }
         for word in &mut self.words {
-            *word = match *word {
-                Word::Weak(bytes, false) => Word::Weak(bytes, true),
-                Word::Weak(_, true) => Word::Bad,
+            word.state = match word.state {
+                State::Weak => State::WeakRead,
+                State::WeakRead => State::Bad,
                 other => other,
             };
         }
@@ -93,14 +106,14 @@ impl Small {
 
 /// What the cut leaves of `before`, on its way to `after`.
 fn left(before: Word, after: Word, left: u8) -> Word {
+    let state = |word: Word, state| Word { state, ..word };
     match left % 4 {
         0 => before,
         1 => after,
-        2 => Word::Bad,
-        _ => match (before, after) {
-            (_, Word::Written(bytes)) | (Word::Written(bytes), _) => Word::Weak(bytes, false),
-            _ => Word::Bad,
-        },
+        2 => state(before, State::Bad),
+        _ if after.state == State::Written => state(after, State::Weak),
+        _ if before.state == State::Written => state(before, State::Weak),
+        _ => state(before, State::Bad),
     }
 }
 
@@ -115,11 +128,10 @@ impl ReadNorFlash for Small {
         check_read(self, offset, bytes.len())?;
         let first = offset as usize / WORD;
         for (word, bytes) in self.words[first..].iter().zip(bytes.chunks_exact_mut(WORD)) {
-            match word {
-                Word::Erased => bytes.fill(0xFF),
-                Word::Written(word) | Word::Weak(word, _) => bytes.copy_from_slice(word),
-                Word::Bad => return Err(NorFlashErrorKind::Other),
+            if word.state == State::Bad {
+                return Err(NorFlashErrorKind::Other);
             }
+            bytes.copy_from_slice(&word.bytes);
         }
         Ok(())
     }
@@ -139,9 +151,9 @@ impl NorFlash for Small {
         let first = from as usize / WORD;
         for (word, fate) in self.words[first..].iter_mut().zip(self.cut.left) {
             *word = if whole {
-                Word::Erased
+                ERASED
             } else {
-                left(*word, Word::Erased, fate)
+                left(*word, ERASED, fate)
             };
         }
         if whole {
@@ -155,15 +167,17 @@ impl NorFlash for Small {
         check_write(self, offset, bytes.len())?;
         let first = offset as usize / WORD;
         for (at, bytes) in (first..).zip(bytes.chunks_exact(WORD)) {
-            let mut word = [0; WORD];
-            word.copy_from_slice(bytes);
+            let mut after = Word {
+                state: State::Written,
+                bytes: [0; WORD],
+            };
+            after.bytes.copy_from_slice(bytes);
             let whole = self.step()?;
-            if self.words[at] != Word::Erased {
+            if self.words[at].state != State::Erased {
                 return Err(NorFlashErrorKind::Other);
             }
-            let after = Word::Written(word);
             if !whole {
-                self.words[at] = left(Word::Erased, after, self.cut.left[0]);
+                self.words[at] = left(ERASED, after, self.cut.left[0]);
                 return Err(NorFlashErrorKind::Other);
             }
             self.words[at] = after;
@@ -174,14 +188,15 @@ impl NorFlash for Small {
 
 /// T2, over runs that end wherever the power fails: the mark that a run finds is above every value that was
 /// used in any run before; a value is used only below the mark; the mark is refused only when there is no
-/// power, and stays then. Returns the last value that was used.
+/// power, and stays then. A start after the last run finds such a mark too. Returns the last value that
+/// was used, and that mark.
 ///
 /// A run takes `uses` values, the first of them the mark itself, each one more than the one before.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn runs(flash: &mut Small, cuts: &[Cut], uses: u8, ahead: u64) -> Option<u64> {
+pub fn runs(flash: &mut Small, cuts: &[Cut], uses: u8, ahead: u64) -> (Option<u64>, u64) {
     let region = Region {
         start: 0,
         page_size: (PAGE * WORD) as u32,
@@ -212,7 +227,13 @@ pub fn runs(flash: &mut Small, cuts: &[Cut], uses: u8, ahead: u64) -> Option<u64
         let flash = mark.into_flash();
         assert!(power || !flash.power, "refused under power");
     }
-    used
+    flash.restart(Cut {
+        after: u8::MAX,
+        left: [0; PAGE],
+    });
+    let found = Mark::open(flash, region).expect("the region fits").get();
+    assert!(used.is_none_or(|used| found > used));
+    (used, found)
 }
 
 #[cfg(test)]
@@ -257,7 +278,7 @@ mod twins {
                         };
                         let cuts = [first, second, none, none];
                         let used = runs(&mut Small::default(), &cuts, 5, 0);
-                        assert!(used.is_some());
+                        assert!(used.0.is_some());
                     }
                 }
             }
@@ -269,21 +290,44 @@ mod twins {
 mod harness {
     use super::*;
 
-    fn any_cut() -> Cut {
-        Cut {
-            after: kani::any(),
-            left: kani::any(),
-        }
+    /// A run fills a page with two marks; in the next, the power fails at step `AT`, whatever is left of the
+    /// word, or of the page: the steps before are then known to the solver. Gives the mark that is found.
+    fn cut_at<const AT: u8>() -> u64 {
+        let cut = |after, left| Cut { after, left };
+        let cuts = [cut(u8::MAX, [0; PAGE]), cut(AT, kani::any())];
+        let (used, found) = runs(&mut Small::default(), &cuts, 2, 0);
+        assert_eq!(used, Some(if AT < 3 { 1 } else { 2 }));
+        found
     }
 
-    /// The power fails anywhere in a run that fills a page, and anywhere in the next.
+    macro_rules! cuts {
+        ($($name:ident $at:literal $mark:literal $or:literal;)*) => {$(
+            #[kani::proof]
+            #[kani::unwind(20)]
+            fn $name() {
+                let found = cut_at::<$at>();
+                kani::cover!(found == $mark, "the mark before");
+                kani::cover!(found == $or, "the mark that was being stored");
+            }
+        )*};
+    }
+
+    // Steps 1 and 2 are the words of a record, 3 and 4 those of the next. The mark is in the first.
+    cuts! {
+        t2_cut_in_the_second_word 2 2 3;
+        t2_cut_in_the_last_word 4 3 4;
+    }
+
+    /// In the erase of the other page, and in the first word of a record: the mark is the one before.
     #[kani::proof]
     #[kani::unwind(20)]
-    fn t2_two_cuts() {
-        let cuts = [any_cut(), any_cut(), any_cut()];
-        kani::assume(cuts[0].after <= 8 && cuts[1].after <= 3);
-        let used = runs(&mut Small::default(), &cuts, 2, 0);
-        kani::cover!(used.is_none(), "nothing was used");
-        kani::cover!(used == Some(5), "no cut counted");
+    fn t2_cut_in_the_erase() {
+        assert_eq!(cut_at::<0>(), 2);
+    }
+
+    #[kani::proof]
+    #[kani::unwind(20)]
+    fn t2_cut_in_the_first_word() {
+        assert_eq!(cut_at::<1>(), 2);
     }
 }

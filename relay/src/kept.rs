@@ -5,7 +5,7 @@ use core::fmt;
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
     Clock, NotStored, RESERVATION, Source, Stamper, Sync, TICKS_PER_SECOND, Timekeeper, Timestamp,
-    Verified,
+    Verified, Window,
 };
 use mavseal_store::{Mark, OpenError, Region};
 
@@ -39,6 +39,23 @@ impl fmt::Display for KeptError {
         }
     }
 }
+
+/// A trusted source told a time that has passed: this end has used or accepted timestamps more than the
+/// [`RESERVATION`] and the window of [`Window::LINK`] behind which it lies. Either the source is wrong, such as a
+/// real-time clock without a battery, or a wrong one was believed before.
+///
+/// The clock is as it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct BehindMark;
+
+impl fmt::Display for BehindMark {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the time told has passed: later timestamps have been used")
+    }
+}
+
+impl core::error::Error for BehindMark {}
 
 impl core::error::Error for KeptError {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
@@ -74,8 +91,8 @@ impl core::error::Error for KeptError {
 /// ahead; the stamps begin at the mark all the same, and go on a tick a frame until the clock has come after.
 ///
 /// The price: after a restart, frames of an honest peer are refused for at most the reservation, and by as
-/// much longer as this end's clock was ahead of the peer's; a peer without a clock is up to a reservation
-/// behind.
+/// much longer as the latest timestamp that this end has used or accepted was ahead of the peer's clock; a peer
+/// without a clock is up to a reservation behind.
 pub struct Kept<F, T> {
     clock: Clock,
     mark: Mark<F>,
@@ -125,10 +142,25 @@ impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
         Stamper::resume(link_id, self.floor)
     }
 
-    /// Takes `time` from `source`: [`Clock::tell`].
-    pub fn tell(&mut self, source: Source, time: Timestamp) -> u64 {
+    /// Takes `time` from `source`: [`Clock::tell`]. Ask a trusted one again before [`Clock::holdover`] is over;
+    /// hourly, for instance.
+    ///
+    /// # Errors
+    ///
+    /// [`BehindMark`]. Believed, such a source would make this end refuse every honest frame.
+    pub fn tell(&mut self, source: Source, time: Timestamp) -> Result<u64, BehindMark> {
+        let latest = time.saturating_add(RESERVATION + Window::LINK.ahead);
+        let tells = source == Source::Trusted && time != Timestamp::ZERO;
+        if tells && latest.ticks() < self.mark.get() {
+            return Err(BehindMark);
+        }
         let now = (self.timer)();
-        self.clock.tell(source, time, now)
+        Ok(self.clock.tell(source, time, now))
+    }
+
+    /// What the timer shows, in ticks of 10 microseconds.
+    pub fn timer(&mut self) -> u64 {
+        (self.timer)()
     }
 
     /// Whether the clock knows the time.
@@ -154,9 +186,16 @@ impl<F: NorFlash, T: FnMut() -> u64> Timekeeper for Kept<F, T> {
         self.clock.judged_at(stamp, now)
     }
 
+    /// Also refuses what lies before [`Kept::floor`], which a stamper or a receiver would let through that was
+    /// not made with it.
     fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
+        if stamp < self.floor {
+            return Err(NotStored);
+        }
         let running = (self.timer)().saturating_sub(self.started);
         let ahead = (running / 8).clamp(FIRST_RESERVATION, RESERVATION);
+        // A mark behind the last timestamp would end the key before its time.
+        let ahead = ahead.min(Timestamp::MAX.ticks_since(stamp));
         let reserved = self.mark.reserve(stamp.ticks(), ahead);
         reserved.map_err(|_| NotStored)
     }

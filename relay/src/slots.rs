@@ -5,7 +5,7 @@ use mavlink_signing::{
     KEY_SIZE, KeyChange, KeyChangeError, KeyStore, Keys, NotStored, Phase, Profile, SigningKey,
 };
 use mavseal_store::{Journal, OpenError, Region};
-use zeroize::Zeroize;
+use zeroize::Zeroizing;
 
 /// Bytes of phase, and of zeros behind it.
 const PHASE_SIZE: usize = 8;
@@ -16,7 +16,8 @@ type Record = [u8; KEYS_SIZE];
 
 /// The keys of one end of a link in flash: [`Keys`] over a restart.
 ///
-/// Whoever can read the flash has the keys: protect it as the part allows. A key that is given up is erased.
+/// Whoever can read the flash has the keys: protect it as the part allows. A key that is given up is erased; if
+/// the power fails meanwhile, at the next start.
 #[derive(Debug)]
 pub struct KeySlots<F> {
     journal: Journal<F, KEYS_SIZE>,
@@ -27,7 +28,8 @@ impl<F: NorFlash> KeySlots<F> {
     /// [empty](KeySlots::is_empty), or hold something that cannot be relied on: nothing is signed or accepted
     /// then.
     ///
-    /// A change that is under way is stored again before it is relied on.
+    /// What is found is stored again before it is relied on, and what was given up is erased: 80 bytes for each
+    /// start, two erases for 25 of them.
     ///
     /// # Errors
     ///
@@ -38,18 +40,21 @@ impl<F: NorFlash> KeySlots<F> {
     ) -> Result<(Self, Option<Keys<P>>), OpenError> {
         let (journal, stored) = Journal::open(flash, region)?;
         let mut slots = Self { journal };
-        let Some(mut record) = stored else {
+        let Some(record) = stored.map(Zeroizing::new) else {
             return Ok((slots, None));
         };
         let keys = keys(&record);
         // What a cut write has left may not be found by the next restart; what follows from it now must not
         // outlive it.
-        let certain = keys
+        let keys = keys.filter(|_| slots.journal.append(&record).is_ok());
+        if keys
             .as_ref()
-            .is_none_or(|keys| keys.phase() == Phase::Settled)
-            || slots.journal.append(&record).is_ok();
-        record.zeroize();
-        Ok((slots, keys.filter(|_| certain)))
+            .is_some_and(|keys| keys.phase() == Phase::Settled)
+        {
+            // If it fails, the next start tries again.
+            let _ = slots.journal.forget();
+        }
+        Ok((slots, keys))
     }
 
     /// Stores the first key, which came in on a trusted port or was there when the board was made. Every
@@ -63,15 +68,19 @@ impl<F: NorFlash> KeySlots<F> {
         key: &[u8; KEY_SIZE],
     ) -> Result<Keys<P>, KeyChangeError> {
         let keys = SigningKey::new(key)?.into();
-        let mut record = record(Phase::Settled, key, &[0; KEY_SIZE]);
-        let stored = self.journal.replace(&record);
-        record.zeroize();
-        stored.map_err(|_| KeyChangeError::NotStored)?;
+        self.settle(&record(Phase::Settled, key, &[0; KEY_SIZE]))?;
         Ok(keys)
     }
 
-    /// Whether no record can be read. Only then may a first key be provided without somebody's asking for it:
-    /// otherwise it would take the place of one that is there.
+    /// Stores `record` and erases all before it. That it counts is enough: what is left is erased at the next
+    /// start.
+    fn settle(&mut self, record: &Record) -> Result<(), NotStored> {
+        let stored = self.journal.replace(record).is_ok() || self.journal.newest() == Some(*record);
+        stored.then_some(()).ok_or(NotStored)
+    }
+
+    /// Whether nothing was ever stored. Only then may a first key be provided without somebody's asking for it:
+    /// otherwise it would take the place of one that is there, or was there and can no longer be read.
     pub const fn is_empty(&self) -> bool {
         self.journal.is_empty()
     }
@@ -84,28 +93,17 @@ impl<F: NorFlash> KeySlots<F> {
 
 impl<F: NorFlash> KeyStore for KeySlots<F> {
     fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored> {
-        let mut stored = self.journal.newest().ok_or(NotStored)?;
-        let Some((phase, old, new)) = split(&stored) else {
-            return Err(NotStored);
-        };
+        let stored = Zeroizing::new(self.journal.newest().ok_or(NotStored)?);
+        let (found, old, new) = split(&stored).ok_or(NotStored)?;
         let none = [0; KEY_SIZE];
-        let (mut next, alone) = match (change, phase) {
-            (KeyChange::Begin(key, phase), _) => (record(phase, old, key), false),
-            // The keys settled here already, and the flash failed to erase what they were before.
-            (KeyChange::Retire | KeyChange::Withdraw, Phase::Settled) => (stored, true),
-            (KeyChange::Confirm, Phase::Settled) => return Err(NotStored),
-            (KeyChange::Confirm, _) => (record(Phase::Confirmed, old, new), false),
-            (KeyChange::Retire, _) => (record(Phase::Settled, new, &none), true),
-            (KeyChange::Withdraw, _) => (record(Phase::Settled, old, &none), true),
+        let next = match change {
+            KeyChange::Begin(key, phase) => record(phase, old, key),
+            _ if found == Phase::Settled => return Err(NotStored),
+            KeyChange::Confirm => record(Phase::Confirmed, old, new),
+            KeyChange::Retire => return self.settle(&record(Phase::Settled, new, &none)),
+            KeyChange::Withdraw => return self.settle(&record(Phase::Settled, old, &none)),
         };
-        let result = if alone {
-            self.journal.replace(&next)
-        } else {
-            self.journal.append(&next)
-        };
-        stored.zeroize();
-        next.zeroize();
-        result.map_err(|_| NotStored)
+        self.journal.append(&next).map_err(|_| NotStored)
     }
 }
 
@@ -118,8 +116,8 @@ const fn code(phase: Phase) -> u8 {
     }
 }
 
-fn record(phase: Phase, old: &[u8; KEY_SIZE], new: &[u8; KEY_SIZE]) -> Record {
-    let mut record = [0; KEYS_SIZE];
+fn record(phase: Phase, old: &[u8; KEY_SIZE], new: &[u8; KEY_SIZE]) -> Zeroizing<Record> {
+    let mut record = Zeroizing::new([0; KEYS_SIZE]);
     let first = [code(phase), 0, 0, 0, 0, 0, 0, 0];
     let parts = first.iter().chain(old).chain(new);
     for (slot, byte) in record.iter_mut().zip(parts) {

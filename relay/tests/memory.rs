@@ -4,10 +4,13 @@ use std::{cell::Cell, collections::VecDeque, convert::Infallible};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChangeError, KeyError, Keys, MessageId, Phase,
-    RESERVATION, Replay, SetupSigning, SigningKey, Source, Stamp, Timestamp, Window, sign_frame,
+    Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChangeError, KeyError, KeyStore, Keys, MessageId,
+    NotStored, Phase, RESERVATION, Replay, SetupSigning, SignError, SigningKey, Source, Stamp,
+    Stamper, Sync, Timestamp, VerifyError, Window, sign_frame,
 };
-use mavseal_relay::{Clock, FIRST_RESERVATION, Forward, Kept, KeptError, KeySlots, Refusal, Relay};
+use mavseal_relay::{
+    BehindMark, Clock, FIRST_RESERVATION, Forward, Kept, KeptError, KeySlots, Refusal, Relay,
+};
 use mavseal_store::{
     Region,
     model::{Flash, PAGE_SIZE, WORD_SIZE},
@@ -141,7 +144,7 @@ fn after_a_restart_nothing_is_used_or_accepted_again() {
     let mut last = 0;
     for restart in 0..3 {
         let mut kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
-        kept.tell(Source::Trusted, at(NOW + 5));
+        kept.tell(Source::Trusted, at(NOW + 5)).expect("ahead");
         let mut relay = relay(&kept);
         let plain = [&heartbeat, &heartbeat];
         let (passed, stamps, refused) = run(&mut relay, &mut kept, &plain, &frames);
@@ -179,7 +182,7 @@ fn what_cannot_be_remembered_is_refused() {
     let mut flash = Flash::<2>::default();
     flash.fail(255);
     let mut kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
-    kept.tell(Source::Trusted, at(NOW));
+    kept.tell(Source::Trusted, at(NOW)).expect("ahead");
     let mut relay = relay(&kept);
     let heartbeat = Frame::new(header(), &[1]).expect("a heartbeat");
     let (passed, stamps, refused) = run(&mut relay, &mut kept, &[&heartbeat], &[&signed(NOW)]);
@@ -198,6 +201,160 @@ fn the_end_of_time_is_told() {
     assert_eq!(
         KeptError::Exhausted.to_string(),
         "all timestamps are used up"
+    );
+}
+
+#[test]
+fn the_reservation_does_not_end_time() {
+    let mut flash = Flash::<2>::default();
+    let last = at(Timestamp::MAX.ticks() - 1);
+    let mut kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
+    kept.reserve(last).expect("stored");
+    let kept = Kept::new(&mut flash, REGION, || 0).expect("one is left");
+    assert_eq!(kept.floor(), Timestamp::MAX);
+}
+
+#[test]
+fn a_clock_without_battery_is_not_believed() {
+    let mut flash = Flash::<2>::default();
+    let mut kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
+    kept.reserve(at(NOW)).expect("stored");
+    let least = NOW + FIRST_RESERVATION - RESERVATION - Window::LINK.ahead;
+    let before = kept.now();
+    let told = kept.tell(Source::Trusted, at(least - 1));
+    assert_eq!(told, Err(BehindMark));
+    assert_eq!(
+        BehindMark.to_string(),
+        "the time told has passed: later timestamps have been used"
+    );
+    assert_eq!((kept.sync(), kept.now()), (Sync::Unsynced, before));
+    assert_eq!(kept.tell(Source::Bounded, at(least - 1)), Ok(100_000));
+    assert_eq!(kept.tell(Source::Trusted, Timestamp::ZERO), Ok(0));
+    kept.tell(Source::Trusted, at(least)).expect("it may be so");
+    assert_eq!((kept.sync(), kept.now()), (Sync::Synced, at(least)));
+}
+
+#[test]
+fn below_the_floor_nothing_is_used_whoever_asks() {
+    let mut flash = Flash::<2>::default();
+    let mut kept = Kept::new(&mut flash, REGION, || 0).expect("fits");
+    kept.reserve(at(NOW)).expect("stored");
+    let mut kept = Kept::new(&mut flash, REGION, || 5).expect("fits");
+    assert_eq!(kept.timer(), 5);
+    let floor = kept.floor();
+    assert_eq!(kept.reserve(at(floor.ticks() - 1)), Err(NotStored));
+    kept.reserve(floor).expect("stored");
+    // A stamper and a receiver that were not made for it: what it heard before is not accepted again.
+    let frame = signed(NOW);
+    let frame = FrameRef::parse(frame.as_bytes()).expect("whole");
+    let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
+    let authentic = mavlink_signing::authenticate(frame, &key).expect("signed");
+    let mut receiver = Replay::new(LINK_IN, Window::LINK);
+    let verdict = kept.admit(&mut receiver, authentic).map(drop);
+    assert_eq!(verdict, Err(VerifyError::NotStored));
+    let stamp = kept.stamp(&mut Stamper::new(LINK_OUT));
+    assert_eq!(stamp, Err(SignError::NotStored));
+}
+
+#[test]
+fn a_key_that_cannot_be_read_is_not_taken_for_none() {
+    let mut flash = Flash::<2>::default();
+    let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
+    assert!(!slots.is_empty());
+    flash.spoil(PAGE_SIZE + WORD_SIZE);
+    let (slots, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    assert!(keys.is_none() && !slots.is_empty());
+}
+
+#[test]
+fn every_start_stores_the_keys_again() {
+    let mut flash = Flash::<2>::default();
+    let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
+    let (writes, erases) = (flash.writes(), flash.erases());
+    for start in 1..=100 {
+        let (_, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+        assert!(keys.is_some());
+        assert_eq!(flash.writes() - writes, start * 10);
+    }
+    // A page takes 25; then the other is erased, and this one.
+    assert_eq!(flash.erases() - erases, 8);
+    // Lost for one start if nothing can be stored: what cannot be relied on is not used.
+    flash.fail(255);
+    let (slots, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    assert!(keys.is_none() && !slots.is_empty());
+}
+
+#[test]
+fn a_key_that_was_given_up_is_gone_after_a_cut_and_a_start() {
+    for chance in 0..40 {
+        for cut in 0..14 {
+            let mut flash = Flash::<2>::new(chance);
+            let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+            slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
+            let (mut slots, keys) = KeySlots::open(&mut flash, REGION).expect("fits");
+            let mut keys: Keys<Hmac> = keys.expect("stored");
+            keys.apply(&[2; KEY_SIZE], &mut slots).expect("stored");
+            flash.cut_after(cut);
+            let retired = slots_of(&mut flash, |slots| {
+                slots.store(mavlink_signing::KeyChange::Withdraw)
+            });
+            flash.restart();
+            let (_, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+            let keys = keys.expect("one or the other");
+            assert!(retired.is_err() || keys.phase() == Phase::Settled);
+            let given_up = flash.holds(&[2; WORD_SIZE]);
+            assert_eq!(given_up, keys.phase() == Phase::Applied, "{chance} {cut}");
+        }
+    }
+}
+
+#[test]
+fn a_failed_erase_does_not_hold_up_a_change() {
+    let mut left = 0;
+    for chance in 0..300 {
+        let mut flash = Flash::<2>::new(chance);
+        let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+        slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
+        flash.fail(20);
+        let (mut slots, keys) = KeySlots::open::<Hmac>(flash, REGION).expect("fits");
+        let Some(mut keys) = keys else { continue };
+        let two = [2; KEY_SIZE];
+        if keys.offer(&two, &mut slots).is_err() || keys.withdraw(&mut slots).is_err() {
+            continue;
+        }
+        let next = keys.offer(&[3; KEY_SIZE], &mut slots);
+        assert!([Ok(()), Err(KeyChangeError::NotStored)].contains(&next));
+        let mut flash = slots.into_flash();
+        left += u32::from(flash.holds(&[2; WORD_SIZE]));
+        flash.fail(0);
+        let (mut slots, keys) = KeySlots::open::<Hmac>(flash, REGION).expect("fits");
+        let mut keys = keys.expect("stored");
+        if next.is_ok() {
+            keys.withdraw(&mut slots).expect("stored");
+        }
+        let (slots, _) = KeySlots::open::<Hmac>(slots.into_flash(), REGION).expect("fits");
+        assert!(!slots.into_flash().holds(&[2; WORD_SIZE]));
+    }
+    assert!(left > 0, "an erase failed after the key was given up");
+}
+
+/// What `act` does with the slots in `flash`, found as they are.
+fn slots_of<T>(flash: &mut Flash<2>, act: impl FnOnce(&mut KeySlots<&mut Flash<2>>) -> T) -> T {
+    let (mut slots, _) = KeySlots::open::<Hmac>(flash, REGION).expect("fits");
+    act(&mut slots)
+}
+
+#[test]
+fn keys_in_flash_are_not_shown() {
+    let mut flash = Flash::<2>::default();
+    let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    slots.provision::<Hmac>(&[0xA7; KEY_SIZE]).expect("stored");
+    let shown = format!("{slots:?}");
+    assert!(
+        shown.contains("Journal") && !shown.contains("167"),
+        "{shown}"
     );
 }
 
@@ -222,7 +379,8 @@ fn setup_signing_is_taken_on_the_plain_side_alone_and_by_its_target() {
     run(&mut deaf, &mut clock, &[&ours], &[]);
     assert!(deaf.take_setup().is_none(), "it was not told to");
 
-    let mut relay = relay(&kept).taking_setup(1, 25);
+    let mut relay = relay(&kept);
+    relay.keep_setup(1, 25);
     let (passed, stamps, refused) = run(&mut relay, &mut clock, &[&ours, &other], &[&ours]);
     assert_eq!((passed, stamps.len()), (0, 0));
     assert_eq!(refused, [Refusal::SetupSigning; 3]);

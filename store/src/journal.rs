@@ -2,6 +2,7 @@
 
 use core::fmt;
 
+#[cfg(not(kani))]
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use embedded_storage::nor_flash::{NorFlash, NorFlashError, NorFlashErrorKind};
 use zeroize::Zeroize;
@@ -12,15 +13,27 @@ const SEQUENCE_SIZE: usize = 4;
 const CHECKSUM_SIZE: usize = 4;
 /// Bytes of a record after its contents: 8.
 const TRAILER_SIZE: usize = SEQUENCE_SIZE + CHECKSUM_SIZE;
-/// Most bytes of a record, so that it fits into a buffer on the stack.
-const MAX_RECORD_SIZE: usize = 128;
+/// Most bytes of a record, so that it fits into a buffer on the stack; for proofs those of a mark, as every
+/// loop over it is unwound.
+const MAX_RECORD_SIZE: usize = if cfg!(kani) { 16 } else { 128 };
 /// What every byte of erased flash reads as.
 const ERASED: u8 = 0xFF;
 /// How often a record is written anew, each time elsewhere, before the flash counts as broken.
 const ATTEMPTS: u8 = 4;
 
-/// Without table: 16 bytes are checked every few seconds.
-const CHECKSUM: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
+/// CRC-32 without table: 16 bytes are checked every few seconds.
+#[cfg(not(kani))]
+fn checksum(covered: &[u8]) -> u32 {
+    Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC).checksum(covered)
+}
+
+/// For proofs, as Kani 0.67 does not compile the crate `crc`: every byte counts, and its place.
+#[cfg(kani)]
+fn checksum(covered: &[u8]) -> u32 {
+    covered
+        .iter()
+        .fold(!0, |sum: u32, byte| sum.rotate_left(5) ^ u32::from(*byte))
+}
 
 /// Two equal pages of flash, one after the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -70,12 +83,16 @@ struct Place {
 }
 
 /// What one record's place holds.
-enum Found<const N: usize> {
+enum Found<'a> {
     Blank,
     /// A torn write, a word with a bad ECC, or half an erase.
     Garbage,
-    Record([u8; N], u32),
+    /// Its contents and its sequence number.
+    Record(&'a [u8], u32),
 }
+
+/// Where a record is read to, or written from.
+type Buffer = [u8; MAX_RECORD_SIZE];
 
 /// A journal of records with `N` bytes each, in two pages of flash.
 ///
@@ -88,21 +105,22 @@ enum Found<const N: usize> {
 /// * a word that cannot be read makes its record garbage, and no other;
 /// * a record that does not read as it was written, or of which the flash says so, is written again in
 ///   the next place.
-#[derive(Debug)]
 pub struct Journal<F, const N: usize> {
-    flash: F,
-    region: Region,
-    /// The record that counts.
-    newest: Option<Place>,
-    /// Where the next record goes; behind its page if that is full.
-    next: Place,
-    /// The sequence number of the first record in the page of `next`.
-    base: u32,
+    pages: Pages<F>,
+}
+
+/// Without the flash, which holds what may be a secret.
+impl<F, const N: usize> fmt::Debug for Journal<F, N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Journal")
+            .field("region", &self.pages.region)
+            .field("newest", &self.pages.newest)
+            .field("next", &self.pages.next)
+            .finish_non_exhaustive()
+    }
 }
 
 impl<F: NorFlash, const N: usize> Journal<F, N> {
-    const RECORD_SIZE: usize = N + TRAILER_SIZE;
-
     /// The journal that `region` of `flash` holds, and what was stored there last; `None` if nothing ever
     /// was, or nothing can be read. Nothing is written.
     ///
@@ -113,34 +131,27 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
     ///
     /// [`OpenError`]. That something cannot be read is no error: it does not count.
     pub fn open(flash: F, region: Region) -> Result<(Self, Option<[u8; N]>), OpenError> {
-        check::<F>(&flash, region, Self::RECORD_SIZE)?;
-        let mut journal = Self {
-            flash,
-            region,
-            newest: None,
-            next: Place { page: 0, slot: 0 },
-            base: 0,
-        };
-        let newest = journal.scan();
-        Ok((journal, newest))
+        let mut pages = Pages::new(flash, region, N + TRAILER_SIZE)?;
+        let mut newest = [0; N];
+        let found = pages.scan(&mut newest);
+        Ok((Self { pages }, found.then_some(newest)))
     }
 
-    /// Whether it holds no record that can be read: nothing was ever stored, or all of it is lost.
+    /// Whether nothing was ever stored: every place for a record is as it was erased. What cannot be read is
+    /// something.
     pub const fn is_empty(&self) -> bool {
-        self.newest.is_none()
+        self.pages.blank
     }
 
     /// The flash, for what else it holds.
     pub fn into_flash(self) -> F {
-        self.flash
+        self.pages.flash
     }
 
     /// What was stored last, read again; `None` if nothing was, or if it can no longer be read.
     pub fn newest(&mut self) -> Option<[u8; N]> {
-        match self.read(self.newest?) {
-            Found::Record(contents, _) => Some(contents),
-            Found::Blank | Found::Garbage => None,
-        }
+        let mut newest = [0; N];
+        self.pages.read_newest(&mut newest).then_some(newest)
     }
 
     /// Stores `contents`: afterwards they are [`Journal::newest`], also after a restart.
@@ -151,9 +162,120 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
     ///
     /// [`StoreError`]; what was stored before still counts.
     pub fn append(&mut self, contents: &[u8; N]) -> Result<(), StoreError> {
+        self.pages.append(contents)
+    }
+
+    /// Stores `contents` and erases everything that was stored before: for keys that are given up.
+    ///
+    /// Takes two erases and a write.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError`]. If the last erase fails, `contents` count already, and what was stored before
+    /// can still be read from the flash.
+    pub fn replace(&mut self, contents: &[u8; N]) -> Result<(), StoreError> {
+        self.pages.replace(contents)
+    }
+
+    /// Erases the page that does not hold what was stored last, unless nothing is in it: what a cut has left of
+    /// [`Journal::replace`].
+    ///
+    /// # Errors
+    ///
+    /// [`StoreError::Erase`]; what was stored last still counts.
+    pub fn forget(&mut self) -> Result<(), StoreError> {
+        self.pages.forget()
+    }
+}
+
+/// A journal of records of any one size, so that the code is there once for all of them.
+struct Pages<F> {
+    flash: F,
+    region: Region,
+    /// Bytes of a record.
+    size: u32,
+    /// Records in a page.
+    slots: u32,
+    /// Every place was blank, and none was written since.
+    blank: bool,
+    /// The record that counts.
+    newest: Option<Place>,
+    /// Where the next record goes; behind its page if that is full.
+    next: Place,
+    /// The sequence number of the first record in the page of `next`.
+    base: u32,
+}
+
+impl<F: NorFlash> Pages<F> {
+    fn new(flash: F, region: Region, record_size: usize) -> Result<Self, OpenError> {
+        check::<F>(&flash, region, record_size)?;
+        // `check` has seen that it fits.
+        let size = record_size as u32;
+        Ok(Self {
+            flash,
+            region,
+            size,
+            slots: region.page_size / size,
+            blank: true,
+            newest: None,
+            next: Place { page: 0, slot: 0 },
+            base: 0,
+        })
+    }
+
+    /// Finds the record that counts and gives its contents; whether there is one.
+    fn scan(&mut self, contents: &mut [u8]) -> bool {
+        let mut highest = None;
+        // For each page the place after the last that is not blank.
+        let mut ends = [0; 2];
+        let mut buffer = [0; MAX_RECORD_SIZE];
+        for (page, end) in (0..).zip(&mut ends) {
+            for slot in 0..self.slots {
+                let place = Place { page, slot };
+                match self.read(place, &mut buffer) {
+                    Found::Blank => continue,
+                    Found::Garbage => {}
+                    Found::Record(read, sequence) => {
+                        if highest.is_none_or(|highest| sequence > highest) {
+                            highest = Some(sequence);
+                            self.newest = Some(place);
+                            copy(contents, read);
+                        }
+                    }
+                }
+                *end = slot + 1;
+            }
+        }
+        buffer.zeroize();
+        self.blank = ends == [0; 2];
+        let [first, second] = ends;
+        let newest = self.newest.unwrap_or(self.next);
+        let slot = if newest.page == 0 { first } else { second };
+        self.next = Place {
+            page: newest.page,
+            slot,
+        };
+        self.base = highest.unwrap_or(0).saturating_sub(newest.slot);
+        highest.is_some()
+    }
+
+    fn read_newest(&mut self, contents: &mut [u8]) -> bool {
+        let mut buffer = [0; MAX_RECORD_SIZE];
+        let found = match self.newest.map(|newest| self.read(newest, &mut buffer)) {
+            Some(Found::Record(read, _)) => {
+                copy(contents, read);
+                true
+            }
+            _ => false,
+        };
+        buffer.zeroize();
+        found
+    }
+
+    fn append(&mut self, contents: &[u8]) -> Result<(), StoreError> {
         let mut erased = false;
         for _ in 0..ATTEMPTS {
-            if self.next.slot >= self.slots() {
+            if self.next.slot >= self.slots {
                 // Once in a call: a page that takes no record would be erased for ever.
                 if erased {
                     break;
@@ -168,68 +290,36 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         Err(StoreError::Write)
     }
 
-    /// Stores `contents` and erases everything that was stored before: for keys that are given up.
-    ///
-    /// Takes two erases and a write.
-    ///
-    /// # Errors
-    ///
-    /// [`StoreError`]. If the last erase fails, `contents` count already, and what was stored before
-    /// can still be read from the flash.
-    pub fn replace(&mut self, contents: &[u8; N]) -> Result<(), StoreError> {
-        self.next.slot = self.slots();
+    fn replace(&mut self, contents: &[u8]) -> Result<(), StoreError> {
+        self.next.slot = self.slots;
         self.append(contents)?;
         // `append` has gone to the other page, or returned.
         self.erase(self.next.page ^ 1)
     }
 
-    /// Records in a page.
-    fn slots(&self) -> u32 {
-        // `check` has seen that both fit.
-        self.region.page_size / (Self::RECORD_SIZE as u32)
-    }
-
-    fn scan(&mut self) -> Option<[u8; N]> {
-        let mut highest: Option<([u8; N], u32)> = None;
-        // For each page the place after the last that is not blank.
-        let mut ends = [0; 2];
-        for (page, end) in (0..).zip(&mut ends) {
-            for slot in 0..self.slots() {
-                let place = Place { page, slot };
-                match self.read(place) {
-                    Found::Blank => continue,
-                    Found::Garbage => {}
-                    Found::Record(mut contents, sequence) => {
-                        if highest.is_none_or(|(_, highest)| sequence > highest) {
-                            highest = Some((contents, sequence));
-                            self.newest = Some(place);
-                        }
-                        contents.zeroize();
-                    }
-                }
-                *end = slot + 1;
-            }
-        }
-        let [first, second] = ends;
-        let page = self.newest.map_or(0, |newest| newest.page);
-        let slot = if page == 0 { first } else { second };
-        self.next = Place { page, slot };
-        let (contents, sequence) = highest?;
-        let slot = self.newest.map_or(0, |newest| newest.slot);
-        self.base = sequence.saturating_sub(slot);
-        Some(contents)
-    }
-
-    fn read(&mut self, place: Place) -> Found<N> {
+    fn forget(&mut self) -> Result<(), StoreError> {
+        let Some(Place { page, .. }) = self.newest else {
+            return Ok(());
+        };
+        let page = page ^ 1;
         let mut buffer = [0; MAX_RECORD_SIZE];
-        let offset = self.offset(place);
-        let record = buffer.get_mut(..Self::RECORD_SIZE).unwrap_or_default();
-        let found = match self.flash.read(offset, record) {
+        let blank = (0..self.slots).all(|slot| {
+            let found = self.read(Place { page, slot }, &mut buffer);
+            matches!(found, Found::Blank)
+        });
+        buffer.zeroize();
+        if blank {
+            return Ok(());
+        }
+        self.erase(page)
+    }
+
+    fn read<'a>(&mut self, place: Place, buffer: &'a mut Buffer) -> Found<'a> {
+        let record = buffer.get_mut(..self.size as usize).unwrap_or_default();
+        match self.flash.read(self.offset(place), record) {
             Ok(()) => parse(record),
             Err(_) => Found::Garbage,
-        };
-        record.zeroize();
-        found
+        }
     }
 
     /// Goes to the other page than the one that holds what counts, and erases it.
@@ -239,7 +329,7 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         self.erase(page)?;
         // Otherwise it is this very page again, and no record of it is left.
         if self.next.page == kept {
-            self.base = self.base.saturating_add(self.slots());
+            self.base = self.base.saturating_add(self.slots);
         }
         self.next = Place { page, slot: 0 };
         Ok(())
@@ -252,7 +342,7 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
     }
 
     /// Writes a record into the next place; whether it reads as it was written.
-    fn try_append(&mut self, contents: &[u8; N]) -> Result<bool, StoreError> {
+    fn try_append(&mut self, contents: &[u8]) -> Result<bool, StoreError> {
         let place = self.next;
         // The last one is that of erased flash.
         let sequence = self
@@ -262,20 +352,17 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         let sequence = sequence.ok_or(StoreError::Exhausted)?;
         // A failed write may have left a record all the same: the next one is newer than it.
         self.next.slot += 1;
+        self.blank = false;
         let mut buffer = [0; MAX_RECORD_SIZE];
-        let record = buffer.get_mut(..Self::RECORD_SIZE).unwrap_or_default();
+        let record = buffer.get_mut(..self.size as usize).unwrap_or_default();
         emit(record, contents, sequence);
-        let offset = self.offset(place);
-        let said = self.flash.write(offset, record).is_ok();
-        record.zeroize();
-        let read = match self.read(place) {
-            Found::Record(mut read, number) => {
-                let same = read == *contents && number == sequence;
-                read.zeroize();
-                same
-            }
+        let said = self.flash.write(self.offset(place), record).is_ok();
+        buffer.zeroize();
+        let read = match self.read(place, &mut buffer) {
+            Found::Record(read, number) => read == contents && number == sequence,
             Found::Blank | Found::Garbage => false,
         };
+        buffer.zeroize();
         // Both: what the flash calls a failure may be readable now and not later.
         let written = said && read;
         if written {
@@ -286,7 +373,13 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
 
     fn offset(&self, place: Place) -> u32 {
         let page = self.region.start + place.page * self.region.page_size;
-        page + place.slot * (Self::RECORD_SIZE as u32)
+        page + place.slot * self.size
+    }
+}
+
+fn copy(to: &mut [u8], from: &[u8]) {
+    for (slot, byte) in to.iter_mut().zip(from) {
+        *slot = *byte;
     }
 }
 
@@ -316,34 +409,26 @@ fn check<F: NorFlash>(flash: &F, region: Region, record_size: usize) -> Result<(
 
 /// Writes the record of `contents`.
 fn emit(record: &mut [u8], contents: &[u8], sequence: u32) {
-    let sequence = sequence.to_le_bytes();
-    let mut digest = CHECKSUM.digest();
-    digest.update(contents);
-    digest.update(&sequence);
-    let checksum = digest.finalize().to_le_bytes();
-    let parts = contents.iter().chain(&sequence).chain(&checksum);
-    for (slot, byte) in record.iter_mut().zip(parts) {
-        *slot = *byte;
+    if let Some((covered, sum)) = record.split_last_chunk_mut::<CHECKSUM_SIZE>() {
+        if let Some((part, number)) = covered.split_last_chunk_mut::<SEQUENCE_SIZE>() {
+            copy(part, contents);
+            *number = sequence.to_le_bytes();
+        }
+        *sum = checksum(covered).to_le_bytes();
     }
 }
 
-fn parse<const N: usize>(record: &[u8]) -> Found<N> {
+fn parse(record: &[u8]) -> Found<'_> {
     if record.iter().all(|byte| *byte == ERASED) {
         return Found::Blank;
     }
-    let Some((covered, checksum)) = record.split_last_chunk::<CHECKSUM_SIZE>() else {
-        return Found::Garbage;
-    };
-    let Some((contents, sequence)) = covered.split_last_chunk::<SEQUENCE_SIZE>() else {
-        return Found::Garbage;
-    };
-    if CHECKSUM.checksum(covered) != u32::from_le_bytes(*checksum) {
-        return Found::Garbage;
+    if let Some((covered, sum)) = record.split_last_chunk::<CHECKSUM_SIZE>()
+        && let Some((contents, sequence)) = covered.split_last_chunk::<SEQUENCE_SIZE>()
+        && checksum(covered) == u32::from_le_bytes(*sum)
+    {
+        return Found::Record(contents, u32::from_le_bytes(*sequence));
     }
-    match <[u8; N]>::try_from(contents) {
-        Ok(contents) => Found::Record(contents, u32::from_le_bytes(*sequence)),
-        Err(_) => Found::Garbage,
-    }
+    Found::Garbage
 }
 
 impl fmt::Display for OpenError {

@@ -193,6 +193,50 @@ fn what_is_replaced_is_gone() {
 }
 
 #[test]
+fn what_a_cut_has_left_is_forgotten() {
+    for chance in 0..100 {
+        for cut in 0..12 {
+            let mut flash = Memory::new(chance);
+            let (mut journal, _) = open::<LONG>(&mut flash);
+            assert!(journal.is_empty());
+            journal.forget().expect("nothing to do");
+            journal.append(&[0x11; LONG]).expect("stored");
+            assert!(!journal.is_empty());
+            journal.forget().expect("nothing to do");
+            assert_eq!(flash.erases(), 0);
+            flash.cut_after(cut);
+            let (mut journal, _) = open::<LONG>(&mut flash);
+            let _ = journal.replace(&[0x22; LONG]);
+            flash.restart();
+            let (mut journal, found) = open::<LONG>(&mut flash);
+            let found = found.expect("one or the other");
+            // As its readers do: what is found is stored anew before anything relies on it.
+            journal.append(&found).expect("stored");
+            journal.forget().expect("erased");
+            let other = [found[0] ^ 0x33; WORD_SIZE];
+            assert!(!flash.holds(&other));
+            assert_eq!(newest(&mut flash), Some(found));
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_read_is_not_nothing() {
+    let mut flash = Memory::default();
+    let (mut journal, _) = open::<8>(&mut flash);
+    journal.append(&[1; 8]).expect("stored");
+    assert!(!open::<8>(&mut flash).0.is_empty());
+    flash.spoil(0);
+    let (journal, found) = open::<8>(&mut flash);
+    assert!(found.is_none() && !journal.is_empty());
+    let shown = format!("{journal:?}");
+    assert!(
+        shown.starts_with("Journal") && !shown.contains("Bad"),
+        "{shown}"
+    );
+}
+
+#[test]
 fn a_cut_replacement_leaves_one_or_the_other() {
     for chance in 0..200 {
         for cut in 0..14 {

@@ -58,12 +58,14 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step("signing demo in QEMU", signing_demo);
     checks.step("demonstration", demonstration);
     checks.step("demonstration with an echo must fail", echo_fails);
+    checks.step("demonstration of restarts", restarts);
     checks.step("properties and their table", proofs::check);
     checks.step_unless("fast proofs", proofs::fast);
     checks.step("inputs of the fuzz targets, and their table", inputs);
     checks.step_unless("fuzz targets, some seconds each", fuzz::smoke);
     if options.all {
         checks.step("firmware by the distribution's compiler", distribution);
+        checks.step("100,000 histories of a link", histories);
         checks.step("mutants of the cores", mutants::all);
         checks.step("interoperation with unmodified peers", interoperation);
     }
@@ -297,6 +299,24 @@ fn echo_fails() -> Result<()> {
         "it failed for another reason:\n{said}"
     );
     println!("failed, as it must: a frame {reason}");
+    Ok(())
+}
+
+fn restarts() -> Result<()> {
+    let sh = shell(".")?;
+    cmd!(sh, "cargo xtask demo --restart").run()?;
+    Ok(())
+}
+
+/// What the host tests have some thousands of.
+fn histories() -> Result<()> {
+    let sh = shell(".")?;
+    let test = ["--test", "simulation", "--", "--ignored", "--nocapture"];
+    cmd!(
+        sh,
+        "cargo test --quiet --locked --release -p mavseal-relay {test...}"
+    )
+    .run()?;
     Ok(())
 }
 

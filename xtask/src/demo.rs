@@ -1,5 +1,6 @@
 //! `cargo xtask demo`: recorded telemetry through the signer on an emulated Cortex-M7.
 
+mod restart;
 pub(crate) mod wire;
 
 use std::{
@@ -42,6 +43,9 @@ pub(crate) struct Options {
     /// Which firmware to boot; with the echo, which signs nothing, the demonstration fails
     #[arg(long, value_enum, default_value = "relay")]
     firmware: Firmware,
+    /// Instead, reset the machine again and again while the link is in use and its key is changed
+    #[arg(long, conflicts_with = "firmware")]
+    restart: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -66,6 +70,9 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         features: &["ardupilotmega"],
         default_features: true,
     })?;
+    if options.restart {
+        return restart::run(&elf);
+    }
     let telemetry = wire::telemetry()?;
     let mut demo = Demo::boot(&elf)?;
 

@@ -191,7 +191,7 @@ fn a_spoofed_receiver_moves_a_clock_by_little_and_never_back() {
 #[test]
 fn a_clock_is_believed_for_its_holdover() {
     let mut end = End::synced();
-    assert_eq!(end.clock.holdover() / SECOND, 61_440);
+    assert_eq!(end.clock.holdover() / SECOND, 30_720);
     end.timer += end.clock.holdover();
     assert_eq!(end.sync(), Sync::Synced);
     assert_eq!(end.hears(NOW + 2 * DAY), Err(VerifyError::FromFuture));
@@ -203,12 +203,47 @@ fn a_clock_is_believed_for_its_holdover() {
     // Frames of peers do not prolong it. A worse timer is believed for less long.
     let mut end = End::synced();
     end.clock = end.clock.drifting(6);
-    assert_eq!(end.clock.holdover() / SECOND, 960);
-    end.timer += 900 * SECOND;
-    assert_eq!(end.hears(NOW + 900 * SECOND), Ok(()));
+    assert_eq!(end.clock.holdover() / SECOND, 480);
+    end.timer += 450 * SECOND;
+    assert_eq!(end.hears(NOW + 450 * SECOND), Ok(()));
     assert_eq!(end.sync(), Sync::Synced);
-    end.timer += 900 * SECOND;
+    end.timer += 450 * SECOND;
     assert_eq!(end.sync(), Sync::Unsynced);
+}
+
+#[test]
+fn a_frame_takes_an_unsynced_clock_so_far_and_no_further() {
+    let mut end = End::new();
+    let now = end.ticks();
+    let most = now + Clock::LEAP + Window::LINK.ahead;
+    assert_eq!(end.hears(most + 1), Err(VerifyError::FromFuture));
+    assert_eq!(end.ticks(), now);
+    assert_eq!(end.hears(most), Ok(()));
+    assert_eq!(end.ticks(), most - RESERVATION);
+
+    // A clock that was never told the time, nor heard it, has nothing to count from.
+    let mut end = End::new();
+    for begun in [0, Clock::LEAP - 1] {
+        end.clock = Clock::unsynced(at(begun), end.timer);
+        assert_eq!(end.clock.judged_at(at(NOW), end.timer), at(NOW));
+    }
+    end.clock = Clock::unsynced(at(Clock::LEAP), end.timer);
+    assert_eq!(end.clock.judged_at(at(NOW), end.timer), at(2 * Clock::LEAP));
+}
+
+#[test]
+fn frames_give_a_spoofed_receiver_no_new_steps() {
+    let mut end = End::new();
+    for minute in 0..10 {
+        let stamp = NOW + minute * 60 * SECOND;
+        assert_eq!(end.hears(stamp), Ok(()));
+        end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer);
+        assert!(end.ticks() <= stamp + SECOND + RESERVATION);
+        let moved = end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer);
+        assert_eq!(moved, 0);
+    }
+    let moved = end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer);
+    assert_eq!(moved, 0);
 }
 
 #[test]
@@ -234,13 +269,28 @@ fn a_burst_is_in_the_window() {
 }
 
 #[test]
+fn seconds_since_1970() {
+    let micros = |seconds: u64| Timestamp::from_unix_micros(seconds.saturating_mul(1_000_000));
+    let first = 1_420_070_400;
+    let last = first + Timestamp::MAX.ticks() / SECOND;
+    for seconds in [0, first - 1, first, first + 1, last - 1, last, last + 1] {
+        assert_eq!(Timestamp::from_unix_seconds(seconds), micros(seconds));
+    }
+    assert_eq!(Timestamp::from_unix_seconds(first), Some(Timestamp::ZERO));
+    assert_eq!(Timestamp::from_unix_seconds(first - 1), None);
+    assert!(Timestamp::from_unix_seconds(last).is_some());
+    assert_eq!(Timestamp::from_unix_seconds(last + 1), None);
+    assert_eq!(Timestamp::from_unix_seconds(u64::MAX), None);
+}
+
+#[test]
 fn system_time_is_microseconds_since_1970() {
     let mut payload = [0; 12];
     payload[..8].copy_from_slice(&at(NOW).unix_micros().to_le_bytes());
     assert_eq!(system_time(&payload), Some(at(NOW)));
     assert_eq!(system_time(&payload[..8]), Some(at(NOW)), "zeros are cut");
     assert_eq!(system_time(&[0]), None, "the sender does not know");
-    assert_eq!(system_time(&[1; 13]), None);
+    assert_eq!(system_time(&[&payload[..], &[0]].concat()), None);
 }
 
 /// Stores everything, or nothing.
@@ -308,6 +358,51 @@ fn who_offers_a_key_signs_with_the_old_one_and_who_takes_it_over_with_the_new_on
         assert_eq!(keys.retire(&mut store), Err(KeyChangeError::NotConfirmed));
         keys.confirm(&mut store).expect("nothing to do");
         assert_eq!(keys.retire(&mut store), Err(KeyChangeError::NotConfirmed));
+    }
+    assert_eq!(store.changes, 2);
+}
+
+#[test]
+fn two_ends_that_both_offer_a_key_do_not_wait_for_each_other() {
+    let mut store = Slots {
+        broken: false,
+        changes: 0,
+    };
+    let (mut ours, mut theirs) = (keys(1), keys(1));
+    for keys in [&mut ours, &mut theirs] {
+        keys.offer(&[2; KEY_SIZE], &mut store).expect("offered");
+    }
+    store.broken = true;
+    let not_stored = theirs.apply(&[2; KEY_SIZE], &mut store);
+    assert_eq!(not_stored, Err(KeyChangeError::NotStored));
+    assert_eq!(theirs.phase(), Phase::Offered);
+    store.broken = false;
+    theirs.apply(&[2; KEY_SIZE], &mut store).expect("applied");
+    assert_eq!(theirs.phase(), Phase::Applied);
+    assert_eq!(used(&theirs), (vec![2], vec![1, 2]));
+    assert_eq!(store.changes, 3);
+}
+
+#[test]
+fn a_confirmed_key_is_not_confirmed_again() {
+    let mut store = Slots {
+        broken: false,
+        changes: 0,
+    };
+    let mut keys = keys(2);
+    let new = signed(&[1], NOW);
+    // The key of the frames in these tests.
+    keys.apply(&crate::common::KEY, &mut store)
+        .expect("applied");
+    for heard in [true, false] {
+        let frame = FrameRef::parse(new.as_bytes()).expect("whole");
+        let authentic = keys.authenticate(frame).expect("signed with it");
+        let mut receiver = Replay::new(LINK_ID, Window::LINK);
+        let verified = receiver.admit(authentic, at(NOW)).expect("new");
+        keys.heard(&verified);
+        assert_eq!(keys.is_heard(), heard);
+        keys.confirm(&mut store).expect("stored");
+        assert_eq!(keys.phase(), Phase::Confirmed);
     }
     assert_eq!(store.changes, 2);
 }

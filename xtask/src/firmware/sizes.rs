@@ -18,7 +18,8 @@ const ALLOWED_PANICS: [&str; 0] = [];
 pub(crate) struct Sizes {
     /// Everything that is written to flash: vectors, code, constants, initial values of `.data`
     pub(crate) flash: u64,
-    /// What the linker gives an address in RAM: `.data`, `.bss`, `.uninit`; the stack is not in it
+    /// What the linker gives an address in RAM: `.data` and `.bss`; neither the stack, nor `.uninit`, which
+    /// stands for another flash
     pub(crate) ram_static: u64,
     pub(crate) sections: Vec<Section>,
 }
@@ -52,7 +53,7 @@ pub(crate) fn sizes(elf: &Path) -> Result<Sizes> {
         if header.sh_type(endian) != SHT_NOBITS {
             sizes.flash += size;
         }
-        if flags.contains(SHF_WRITE) {
+        if flags.contains(SHF_WRITE) && section.name()? != ".uninit" {
             sizes.ram_static += size;
         }
         sizes.sections.push(Section {

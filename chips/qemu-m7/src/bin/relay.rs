@@ -4,10 +4,11 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use mavlink_signing::{KeyChangeError, Keys, Source, TICKS_PER_SECOND, Timestamp};
+use mavlink_signing::{KeyChangeError, Keys, Phase, Source, TICKS_PER_SECOND, Timestamp};
 use mavseal_qemu_m7::{Board, Flash, Overrun, PAGE_SIZE, WallClock, exit, info, warn};
 use mavseal_relay::{
-    Clock, Counters, Direction, Event, Forward, Kept, KeySlots, PortError, Refusal, Relay,
+    BehindMark, Clock, Counters, Direction, Event, Forward, Kept, KeySlots, PortError, Refusal,
+    Relay,
 };
 use mavseal_store::Region;
 
@@ -15,11 +16,16 @@ use mavseal_store::Region;
 const LINK_OUT: u8 = 1;
 /// Silence after which the counters are logged: one second.
 const QUIET: u64 = TICKS_PER_SECOND;
+/// How often the clock is told the time of day: well within what it believes a source for.
+const HOUR: u64 = 3600 * TICKS_PER_SECOND;
 /// The whole of a flash.
 const REGION: Region = Region {
     start: 0,
     page_size: PAGE_SIZE as u32,
 };
+/// The clock, and the mark in flash.
+type Memory<T> = Kept<Flash, T>;
+
 /// The system and component that SETUP_SIGNING names to give the relay a key: a vehicle's, and
 /// MAV_COMP_ID_USER1.
 const SYSTEM: u8 = 1;
@@ -95,22 +101,23 @@ fn main() -> ! {
         exit(1);
     };
     let [mark, slots] = board.flashes;
-    let time_of_day = wall.now();
+    // The timer of this board shows the time of day.
     let Ok(mut kept) = Kept::new(mark, REGION, || wall.now().ticks()) else {
         warn!("The mark cannot be used");
         exit(1);
     };
-    kept.tell(Source::Trusted, time_of_day);
+    let mut told = tell(&mut kept);
     let Some((mut slots, keys)) = keys(slots) else {
         warn!("The keys cannot be used");
         exit(1);
     };
     let receiver = peer::receiver(kept.floor());
-    let Ok(relay) = Relay::new(keys, kept.stamper(LINK_OUT), receiver, Forward::Stripped) else {
+    let Ok(mut relay) = Relay::new(keys, kept.stamper(LINK_OUT), receiver, Forward::Stripped)
+    else {
         warn!("Both directions have the same link id");
         exit(1);
     };
-    let mut relay = relay.taking_setup(SYSTEM, COMPONENT);
+    relay.keep_setup(SYSTEM, COMPONENT);
     let [mut plain, mut secure] = board.uarts;
 
     let mut log = Log::default();
@@ -127,15 +134,31 @@ fn main() -> ! {
         if let Some(setup) = relay.take_setup() {
             let applied = relay.keys().apply(&setup.secret_key, &mut slots);
             if applied.is_ok() {
-                kept.tell(Source::Trusted, setup.initial_timestamp);
+                log_time(kept.tell(Source::Trusted, setup.initial_timestamp));
             }
             log_key("SETUP_SIGNING", applied);
+            // The key in use once more: everybody has it now, and the one before may go.
+            if applied.is_ok() && relay.keys().phase() == Phase::Confirmed {
+                log_key("Old key retired", relay.keys().retire(&mut slots));
+            }
         }
         if relay.keys().is_heard() {
             log_key("New key heard", relay.keys().confirm(&mut slots));
         }
+        if kept.timer().saturating_sub(told) > HOUR {
+            told = tell(&mut kept);
+        }
         log.turn(polled.moved(), kept.now(), &relay);
     }
+}
+
+/// Tells the clock the time of day; gives it.
+fn tell<T: FnMut() -> u64>(kept: &mut Memory<T>) -> u64 {
+    let ticks = kept.timer();
+    if let Some(time) = Timestamp::from_ticks(ticks) {
+        log_time(kept.tell(Source::Trusted, time));
+    }
+    ticks
 }
 
 /// Logs refusals, equal ones in a row as one line, and the counters when the lines have gone quiet.
@@ -199,6 +222,13 @@ fn log_key(what: &str, result: Result<(), KeyChangeError>) {
         }
     }
     let _ = what;
+}
+
+fn log_time(result: Result<u64, BehindMark>) {
+    if let Err(error) = result {
+        warn!("{}", error);
+        let _ = error;
+    }
 }
 
 fn log_port(direction: Direction, error: &PortError<Overrun, Overrun>) {

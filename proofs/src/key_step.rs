@@ -1,0 +1,305 @@
+//! K1 at one end: what one call does to its keys, from any state of a change.
+
+use mavlink_signing::{
+    Authenticate, Frame, FrameRef, KeyChangeError, Keys, Phase, Profile, Replay, SigningKey, Stamp,
+    Timestamp, Window, sign_frame,
+};
+
+use crate::HEARTBEAT;
+use crate::keys::{Model, bytes};
+
+/// Keys by their numbers, none of which is 0, which stands for a key of zeros; two different ones.
+#[derive(Clone, Copy, Debug)]
+pub struct Before {
+    /// How far the change has come.
+    pub phase: Phase,
+    /// The key in use before it.
+    pub old: u8,
+    /// The new one; without meaning in [`Phase::Settled`].
+    pub new: u8,
+    /// A frame with the new one was heard in this phase, and not confirmed yet.
+    pub heard: bool,
+}
+
+/// What an end is asked to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Call {
+    /// To offer the key with this number.
+    Offer(u8),
+    /// To take it over.
+    Apply(u8),
+    /// To go over to the new key, if it was heard.
+    Confirm,
+    /// To drop the old key.
+    Retire,
+    /// To take an offer back.
+    Withdraw,
+}
+
+impl Before {
+    /// The new key, if there is one.
+    const fn second(self) -> Option<u8> {
+        match self.phase {
+            Phase::Settled => None,
+            _ => Some(self.new),
+        }
+    }
+
+    const fn signs(self) -> u8 {
+        match self.phase {
+            Phase::Settled | Phase::Offered => self.old,
+            Phase::Applied | Phase::Confirmed => self.new,
+        }
+    }
+
+    /// The state after a call: phase, keys; or why there is none. Nothing is stored if it is the same.
+    fn after(self, call: Call) -> Result<(Phase, u8, u8), Refused> {
+        let Self {
+            phase,
+            old,
+            new,
+            heard,
+        } = self;
+        let same = Ok((phase, old, new));
+        let newest = self.second().unwrap_or(old);
+        match call {
+            Call::Offer(0) | Call::Apply(0) => Err(Refused::Key),
+            Call::Offer(key) if key == newest => same,
+            Call::Offer(key) if phase == Phase::Settled => Ok((Phase::Offered, old, key)),
+            // Two ends that were both told to offer it would wait for each other.
+            Call::Apply(key) if key == newest && phase == Phase::Offered => {
+                Ok((Phase::Applied, old, new))
+            }
+            Call::Apply(key) if key == newest => same,
+            Call::Apply(key) if phase == Phase::Settled => Ok((Phase::Applied, old, key)),
+            Call::Apply(key) if phase == Phase::Applied && key == old && !heard => {
+                Ok((Phase::Settled, old, old))
+            }
+            Call::Offer(_) | Call::Apply(_) => Err(Refused::UnderWay),
+            Call::Confirm if heard => Ok((Phase::Confirmed, old, new)),
+            Call::Confirm => same,
+            Call::Retire if phase == Phase::Confirmed => Ok((Phase::Settled, new, new)),
+            Call::Retire => Err(Refused::NotConfirmed),
+            Call::Withdraw if phase == Phase::Offered && !heard => Ok((Phase::Settled, old, old)),
+            Call::Withdraw => Err(Refused::NotOffered),
+        }
+    }
+}
+
+/// Why a call is refused whatever the memory does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Refused {
+    Key,
+    UnderWay,
+    NotConfirmed,
+    NotOffered,
+}
+
+/// K1, one call at one end, from any state: it ends in the state that the rule says, or is refused. What is
+/// stored is that state, before it has an effect; if it cannot be stored, or the call is refused, nothing
+/// changes. In every state the end signs with the old key until it has heard the new one or was given it, and
+/// accepts each key that it may be sent: the old one until it is retired, the new one until it is given up.
+///
+/// `stores` says whether the memory does what it is told.
+///
+/// # Errors
+///
+/// The refusal.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn one_call<P: Profile>(
+    before: Before,
+    call: Call,
+    stores: bool,
+) -> Result<(), KeyChangeError> {
+    let Before {
+        phase,
+        old,
+        new,
+        heard,
+    } = before;
+    let mut keys = Keys::<P>::resume(key(old), key(new), phase);
+    if heard {
+        hears(&mut keys, new);
+        assert!(keys.is_heard());
+    }
+    let mut memory = Model::holding(phase, old, new);
+    if !stores {
+        memory.fails();
+    }
+    let result = match call {
+        Call::Offer(number) => keys.offer(&bytes(number), &mut memory),
+        Call::Apply(number) => keys.apply(&bytes(number), &mut memory),
+        Call::Confirm => keys.confirm(&mut memory),
+        Call::Retire => keys.retire(&mut memory),
+        Call::Withdraw => keys.withdraw(&mut memory),
+    };
+
+    let unchanged = (phase, old, before.second().unwrap_or(old));
+    let rule = before.after(call);
+    let expected = match rule {
+        Ok(after) if after == (phase, old, new) => (Ok(()), unchanged),
+        Ok(_) if !stores => (Err(None), unchanged),
+        Ok(after) => (Ok(()), after),
+        Err(refused) => (Err(Some(refused)), unchanged),
+    };
+    assert_eq!(result.map_err(refusal), expected.0);
+    let (phase, old, new) = expected.1;
+    assert_eq!(keys.phase(), phase);
+    assert_eq!(memory.stored(), (phase, old, new));
+    let after = Before {
+        phase,
+        old,
+        new,
+        heard: false,
+    };
+    assert_eq!(signed(keys.signing())[LAST], after.signs());
+    for number in [before.old, before.new, old, new] {
+        let accepted = number == old || number == new;
+        assert_eq!(accepts(&keys, number), accepted);
+    }
+    result
+}
+
+/// The refusal; `None` for a memory that failed.
+fn refusal(error: KeyChangeError) -> Option<Refused> {
+    match error {
+        KeyChangeError::Key(_) => Some(Refused::Key),
+        KeyChangeError::UnderWay => Some(Refused::UnderWay),
+        KeyChangeError::NotConfirmed => Some(Refused::NotConfirmed),
+        KeyChangeError::NotOffered => Some(Refused::NotOffered),
+        _ => None,
+    }
+}
+
+fn key<P: Profile>(number: u8) -> SigningKey<P> {
+    SigningKey::new(&bytes(number)).expect("not zeros")
+}
+
+/// Bytes of the frame that is signed here: nothing in it but its header.
+const SIZE: usize = 25;
+/// Its last byte: with the tag that models of profiles make of a key, the number of the key.
+const LAST: usize = SIZE - 1;
+
+fn signed<P: Profile>(key: &SigningKey<P>) -> [u8; SIZE] {
+    let mut frame = Frame::new(HEARTBEAT, &[]).expect("in every dialect");
+    let stamp = Stamp {
+        link_id: 1,
+        timestamp: Timestamp::ZERO,
+    };
+    sign_frame(&mut frame, key, stamp).expect("not signed yet");
+    *frame.as_bytes().first_chunk().expect("no payload")
+}
+
+fn accepts<P: Profile>(keys: &Keys<P>, number: u8) -> bool {
+    let bytes = signed(&key::<P>(number));
+    let frame = FrameRef::parse(&bytes).expect("a whole frame");
+    keys.authenticate(frame).is_ok()
+}
+
+fn hears<P: Profile>(keys: &mut Keys<P>, number: u8) {
+    let window = Window { past: 0, ahead: 0 };
+    let bytes = signed(&key::<P>(number));
+    let frame = FrameRef::parse(&bytes).expect("a whole frame");
+    let authentic = keys.authenticate(frame).expect("one of its keys");
+    let verified = Replay::new(1, window).admit(authentic, Timestamp::ZERO);
+    keys.heard(&verified.expect("the first"));
+}
+
+/// Every state, with `old` and `new` as they are given.
+#[cfg(any(test, kani))]
+fn states(old: u8, new: u8) -> [Before; 6] {
+    use Phase::{Applied, Confirmed, Offered, Settled};
+    [
+        (Settled, false),
+        (Offered, false),
+        (Offered, true),
+        (Applied, false),
+        (Applied, true),
+        (Confirmed, false),
+    ]
+    .map(|(phase, heard)| Before {
+        phase,
+        old,
+        new,
+        heard,
+    })
+}
+
+#[cfg(test)]
+mod twins {
+    use super::*;
+    use crate::model::AnyTag;
+
+    /// Every call in every state; of keys it matters only which are the same.
+    #[test]
+    fn k1_every_call() {
+        let mut refused = 0;
+        for before in states(1, 2) {
+            for number in 0..=3 {
+                let calls = [
+                    Call::Offer(number),
+                    Call::Apply(number),
+                    Call::Confirm,
+                    Call::Retire,
+                    Call::Withdraw,
+                ];
+                for call in calls {
+                    for stores in [true, false] {
+                        refused += usize::from(one_call::<AnyTag>(before, call, stores).is_err());
+                    }
+                }
+            }
+        }
+        assert!(refused > 0);
+    }
+}
+
+#[cfg(kani)]
+mod harness {
+    use super::*;
+    use crate::model::{AnyTag, any_checksum};
+
+    /// One call in the state with this number: which it is, is known to the solver, the keys are not.
+    fn any_call<const STATE: usize>(call: impl Fn(u8) -> Call) -> Result<(), KeyChangeError> {
+        let (old, new): (u8, u8) = (kani::any(), kani::any());
+        kani::assume(old != 0 && new != 0 && old != new);
+        let before = states(old, new)[STATE];
+        one_call::<AnyTag>(before, call(kani::any()), kani::any())
+    }
+
+    macro_rules! calls {
+        ($($name:ident $state:literal $call:expr;)*) => {$(
+            #[kani::proof]
+            #[kani::unwind(33)]
+            #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+            fn $name() {
+                let result = any_call::<$state>($call);
+                kani::cover!(result.is_ok(), "done");
+                kani::cover!(result.is_err(), "refused");
+            }
+        )*};
+    }
+
+    calls! {
+        k1_offers_when_settled 0 Call::Offer;
+        k1_offers_when_applied 3 Call::Offer;
+        k1_takes_over_when_settled 0 Call::Apply;
+        k1_takes_over_when_offered 1 Call::Apply;
+        k1_takes_over_when_applied 3 Call::Apply;
+        k1_takes_over_when_heard 4 Call::Apply;
+        k1_takes_over_when_confirmed 5 Call::Apply;
+        k1_goes_over_when_heard 4 |_| Call::Confirm;
+        k1_retires_when_confirmed 5 |_| Call::Retire;
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+    fn k1_retires_no_earlier() {
+        let refused = any_call::<4>(|_| Call::Retire);
+        assert_eq!(refused, Err(KeyChangeError::NotConfirmed));
+    }
+}

@@ -1,0 +1,393 @@
+//! `cargo xtask demo --restart`: the relay is reset at any moment, and its key is changed meanwhile.
+
+use std::{path::Path, time::Instant};
+
+use anyhow::{Context, Result, ensure};
+
+use super::{
+    Act, BEHIND, Came, Demo, Direction, EACH, LINK_IN, LINK_OUT, PATIENCE, TICKS_PER_SECOND,
+    exchange, print_log, table, ticks_in, ticks_now,
+    wire::{self, Frame},
+};
+
+/// How long the link may be deaf after a restart: the reservation, and what the peer's clock is behind.
+const PROMISED: f32 = 10.0 + 0.5;
+/// How many seconds a stamp may be behind.
+const WINDOW: u64 = 60;
+/// The system and component that take a key: `chips/qemu-m7/src/bin/relay.rs`.
+const SYSTEM: u8 = 1;
+const COMPONENT: u8 = 25;
+/// SETUP_SIGNING: its payload is 8 bytes of time, two of targets, and the key.
+const SETUP_SIGNING: u16 = 256;
+const SETUP_SIZE: u8 = 42;
+/// Frames that the relay signs between two resets.
+const SIGNED: usize = 100;
+
+/// Runs the play.
+///
+/// # Errors
+/// If a stamp is given or a frame accepted twice, a key is lost, or the link stays deaf.
+pub(super) fn run(elf: &Path) -> Result<()> {
+    let mut play = Play::begin(elf)?;
+    let old = play.demo.key.clone();
+    let new: Vec<u8> = old.iter().map(|byte| !byte).collect();
+
+    play.signs("telemetry", &old)?;
+    play.hears("new frames", &old)?;
+    play.end_of_run()?;
+
+    play.reset()?;
+    play.refuses_recorded()?;
+    play.signs("telemetry", &old)?;
+    play.is_back(&old)?;
+    play.hears("new frames", &old)?;
+    // A key over the cable: this end signs with it at once, the peer does not have it yet.
+    play.setup(&new)?;
+    play.signs("with the new key", &new)?;
+    play.hears("with the old key", &old)?;
+    play.end_of_run()?;
+
+    play.reset()?;
+    play.is_back(&old)?;
+    play.signs("with the new key", &new)?;
+    play.hears("with the old key", &old)?;
+    play.hears("with the new key", &new)?;
+    play.said("[INFO ] New key heard: done");
+    play.end_of_run()?;
+
+    play.reset()?;
+    play.refuses_recorded()?;
+    play.is_back(&old)?;
+    play.hears("with the new key", &new)?;
+    play.hears("with the old key", &old)?;
+    // The key in use once more: the old one goes.
+    play.setup(&new)?;
+    play.said("[INFO ] Old key retired: done");
+    play.refuses("with the old key", &old, "bad tag")?;
+    play.hears("with the new key", &new)?;
+    play.end_of_run()?;
+
+    play.reset()?;
+    play.refuses("with the old key", &old, "bad tag")?;
+    play.signs("with the new key", &new)?;
+    play.is_back(&new)?;
+    play.hears("with the new key", &new)?;
+    play.end_of_run()?;
+    play.finish()
+}
+
+/// The relay, what it has been seen to do in this run, and all that is to hold over its restarts.
+struct Play {
+    demo: Demo,
+    telemetry: Vec<Frame>,
+    /// Every frame of the peer that was accepted.
+    recorded: Vec<Frame>,
+    /// The last stamps that the relay, and the peer, have given.
+    last: u64,
+    last_of_peer: u64,
+    runs: usize,
+    reset_at: Instant,
+    /// Seconds from a reset until the peer was heard.
+    back_after: Vec<f32>,
+    plain: Vec<Act>,
+    secure: Vec<Act>,
+    /// Lines that the relay must have logged in this run.
+    expected: Vec<&'static str>,
+    /// All acts, with the run before each.
+    all: [Vec<Act>; 2],
+}
+
+impl Play {
+    fn begin(elf: &Path) -> Result<Self> {
+        // Without a byte that begins another packet, so that each is refused once.
+        let mut telemetry = wire::telemetry()?;
+        telemetry.retain(|frame| !frame[1..].iter().any(|byte| [0xFD, 0xFE].contains(byte)));
+        telemetry.truncate(SIGNED);
+        Ok(Self {
+            demo: Demo::boot(elf)?,
+            telemetry,
+            recorded: Vec::new(),
+            last: 0,
+            last_of_peer: 0,
+            runs: 1,
+            reset_at: Instant::now(),
+            back_after: Vec::new(),
+            plain: Vec::new(),
+            secure: Vec::new(),
+            expected: Vec::new(),
+            all: [Vec::new(), Vec::new()],
+        })
+    }
+
+    /// Resets the machine while a frame is on its way in on each side, and waits until the relay runs again.
+    fn reset(&mut self) -> Result<()> {
+        let half = |frame: &Frame| frame[..frame.len() / 2].to_vec();
+        let into_plain = half(&self.telemetry[0]);
+        let into_secure = half(&self.recorded[0]);
+        self.send_to_plain_side(&into_plain, 0)?;
+        self.send_to_secure_side(&into_secure, 0)?;
+        self.demo.machine.reset()?;
+        self.reset_at = Instant::now();
+        self.runs += 1;
+        loop {
+            let line = self.demo.log.recv_timeout(PATIENCE);
+            let line = line.context("the firmware does not start again")?;
+            let started = line.contains("In-line signer");
+            self.demo.lines.push(line);
+            if started {
+                return Ok(());
+            }
+        }
+    }
+
+    fn send_to_plain_side(&mut self, stream: &[u8], expected: usize) -> Result<Came> {
+        exchange(
+            &mut self.demo.plain,
+            &mut self.demo.secure,
+            stream,
+            expected,
+        )
+    }
+
+    fn send_to_secure_side(&mut self, stream: &[u8], expected: usize) -> Result<Came> {
+        exchange(
+            &mut self.demo.secure,
+            &mut self.demo.plain,
+            stream,
+            expected,
+        )
+    }
+
+    fn fail(&mut self, failure: String) {
+        self.demo
+            .failures
+            .push(format!("run {}: {failure}", self.runs));
+    }
+
+    /// Frames from the plain side are signed with `key`, each stamp greater than all before any restart.
+    fn signs(&mut self, name: &'static str, key: &[u8]) -> Result<()> {
+        let came = self.send_to_plain_side(&self.telemetry.concat(), self.telemetry.len())?;
+        for (at, frame) in came.frames.iter().enumerate() {
+            let ticks = wire::ticks(frame);
+            if ticks <= self.last {
+                self.fail(format!("stamp {at} is {ticks}, after {}", self.last));
+            }
+            self.last = ticks;
+            let original = self.telemetry.get(at);
+            if original
+                .map(|frame| wire::sign(frame, key, LINK_OUT, ticks))
+                .as_ref()
+                != Some(frame)
+            {
+                self.fail(format!("{name}: frame {at} is not the telemetry's, signed"));
+            }
+        }
+        if let Some(failure) = came.failure {
+            self.fail(failure);
+        }
+        self.plain
+            .push(passed(name, self.telemetry.len(), came.frames.len()));
+        Ok(())
+    }
+
+    /// The next frames of the peer.
+    fn peer_frames(&mut self, count: usize, key: &[u8]) -> Vec<Frame> {
+        let mut sign = |frame: &Frame| {
+            let ticks = ticks_now() - ticks_in(BEHIND);
+            self.last_of_peer = ticks.max(self.last_of_peer + 1);
+            wire::sign(frame, key, LINK_IN, self.last_of_peer)
+        };
+        self.telemetry.iter().take(count).map(&mut sign).collect()
+    }
+
+    /// New frames of the peer, with `key`, come through.
+    fn hears(&mut self, name: &'static str, key: &[u8]) -> Result<()> {
+        let frames = self.peer_frames(EACH, key);
+        let came = self.send_to_secure_side(&frames.concat(), EACH)?;
+        if came.frames != self.telemetry[..EACH] {
+            self.fail(format!("{name}: other frames came than the peer sent"));
+        }
+        self.secure.push(passed(name, EACH, came.frames.len()));
+        self.recorded.extend(frames);
+        Ok(())
+    }
+
+    /// These frames must not come through.
+    fn refuses_all(
+        &mut self,
+        name: &'static str,
+        frames: &[Frame],
+        why: &'static str,
+    ) -> Result<()> {
+        let came = self.send_to_secure_side(&frames.concat(), 0)?;
+        if !came.frames.is_empty() {
+            self.fail(format!("{name}: {} came through", came.frames.len()));
+        }
+        self.secure.push(refused(name, frames.len(), why));
+        Ok(())
+    }
+
+    /// New frames with `key`, which is not one of the link's any more.
+    fn refuses(&mut self, name: &'static str, key: &[u8], why: &'static str) -> Result<()> {
+        let frames = self.peer_frames(EACH, key);
+        self.refuses_all(name, &frames, why)
+    }
+
+    /// Everything of the peer that was ever accepted. What is near the window's edge is left out, as it may
+    /// leave the window on its way.
+    fn refuses_recorded(&mut self) -> Result<()> {
+        let now = ticks_now();
+        let seconds = |frame: &Frame| now.saturating_sub(wire::ticks(frame)) / TICKS_PER_SECOND;
+        let mut old = self.recorded.clone();
+        old.retain(|frame| seconds(frame) > WINDOW);
+        let mut young = self.recorded.clone();
+        young.retain(|frame| seconds(frame) < WINDOW / 2);
+        if !old.is_empty() {
+            self.refuses_all("accepted over a minute ago, again", &old, "too old")?;
+        }
+        self.refuses_all("accepted before, again", &young, "replayed")
+    }
+
+    /// Frames of the peer, one at a time, until one comes through, which must be soon enough.
+    fn is_back(&mut self, key: &[u8]) -> Result<()> {
+        let mut deaf = 0;
+        loop {
+            let frame = self.peer_frames(1, key);
+            let came = self.send_to_secure_side(&frame.concat(), 0)?;
+            let seconds = self.reset_at.elapsed().as_secs_f32();
+            if came.frames.is_empty() {
+                deaf += 1;
+                ensure!(
+                    seconds < 2.0 * PROMISED,
+                    "deaf for {seconds:.1} s after a restart"
+                );
+                continue;
+            }
+            if seconds > PROMISED {
+                self.fail(format!("deaf for {seconds:.1} s after a restart"));
+            }
+            self.back_after.push(seconds);
+            self.secure
+                .push(refused("new, below the mark", deaf, "replayed"));
+            self.secure.push(passed("the first above it", 1, 1));
+            self.recorded.extend(frame);
+            return Ok(());
+        }
+    }
+
+    /// SETUP_SIGNING with `key`, on the plain port; it goes no further.
+    fn setup(&mut self, key: &[u8]) -> Result<()> {
+        let mut frame = vec![0xFD, SETUP_SIZE, 0, 0, 0, 255, 190];
+        frame.extend(&u32::from(SETUP_SIGNING).to_le_bytes()[..3]);
+        frame.extend(ticks_now().to_le_bytes());
+        frame.extend([SYSTEM, COMPONENT]);
+        frame.extend(key);
+        frame.extend([0; 2]);
+        wire::repair(&mut frame);
+        let came = self.send_to_plain_side(&frame, 0)?;
+        if !came.frames.is_empty() {
+            self.fail("SETUP_SIGNING went on to the radio".into());
+        }
+        self.plain
+            .push(refused("SETUP_SIGNING", 1, "SETUP_SIGNING"));
+        self.said("[INFO ] SETUP_SIGNING: done");
+        Ok(())
+    }
+
+    fn said(&mut self, line: &'static str) {
+        self.expected.push(line);
+    }
+
+    /// Compares the log of this run, and its counters, with what was seen at the ports.
+    fn end_of_run(&mut self) -> Result<()> {
+        let acts = [
+            std::mem::take(&mut self.plain),
+            std::mem::take(&mut self.secure),
+        ];
+        let directions = [Direction::PlainToSecure, Direction::SecureToPlain];
+        let counted = [0, 1].map(|at| {
+            let sum = |count: fn(&Act) -> usize| acts[at].iter().map(count).sum::<usize>();
+            let passed = sum(|act| act.passed);
+            let refused = sum(|act| act.refused);
+            format!("{}{passed}, refused: {refused}, ", directions[at].summary())
+        });
+        let mut found = [false; 2];
+        let mut lines = Vec::new();
+        while found != [true; 2] {
+            let Ok(line) = self.demo.log.recv_timeout(PATIENCE) else {
+                self.fail(format!("the firmware did not count {counted:?}"));
+                break;
+            };
+            for (found, counted) in found.iter_mut().zip(&counted) {
+                *found |= line.starts_with(counted);
+            }
+            lines.push(line);
+        }
+        for (acts, direction) in acts.iter().zip(directions) {
+            let said = lines.iter().filter_map(|line| direction.refusals(line));
+            let said: Vec<String> = said.flat_map(|(why, times)| vec![why; times]).collect();
+            let expected: Vec<&str> = acts
+                .iter()
+                .flat_map(|act| vec![act.refusal.unwrap_or_default(); act.refused])
+                .collect();
+            if said != expected {
+                self.fail(format!("{direction:?}: refused because {said:?}"));
+            }
+        }
+        for expected in std::mem::take(&mut self.expected) {
+            if !lines.iter().any(|line| line == expected) {
+                self.fail(format!("the firmware has not said {expected:?}"));
+            }
+        }
+        self.demo.lines.extend(lines);
+        for (all, acts) in self.all.iter_mut().zip(acts) {
+            all.extend(acts);
+        }
+        Ok(())
+    }
+
+    fn finish(mut self) -> Result<()> {
+        self.demo.machine.stop()?;
+        println!("The firmware's log, in {} runs:", self.runs);
+        print_log(&self.demo.lines);
+        let [plain, secure] = &self.all;
+        println!("\nInto the plain side:\n{}", table("signed", plain));
+        println!("\nInto the secure side:\n{}", table("verified", secure));
+        let seconds: Vec<String> = self
+            .back_after
+            .iter()
+            .map(|seconds| format!("{seconds:.1}"))
+            .collect();
+        println!(
+            "\nthe peer was heard again {} s after a reset; promised: {PROMISED}",
+            seconds.join(", ")
+        );
+        ensure!(
+            self.demo.failures.is_empty(),
+            "the demonstration failed:\n  {}",
+            self.demo.failures.join("\n  ")
+        );
+        println!("Nothing was used twice, and no key was lost.");
+        Ok(())
+    }
+}
+
+fn passed(name: &'static str, frames: usize, passed: usize) -> Act {
+    Act {
+        name,
+        frames,
+        refusal: None,
+        passed,
+        refused: frames - passed.min(frames),
+    }
+}
+
+fn refused(name: &'static str, frames: usize, why: &'static str) -> Act {
+    Act {
+        name,
+        frames,
+        refusal: Some(why),
+        passed: 0,
+        refused: frames,
+    }
+}
