@@ -44,15 +44,42 @@ impl Timer {
     }
 }
 
-/// The time of day, in signing time.
+/// The time since the start, in ticks of 10 microseconds.
 ///
-/// Stands for the real-time clock that this board does not have. It must be read at least every
-/// 171 seconds, when the timer comes round.
-pub struct WallClock {
+/// It must be read at least every 171 seconds, when the timer comes round.
+pub struct Uptime {
     timer: Timer,
-    start: Timestamp,
     cycles: u64,
     value: u32,
+}
+
+impl Uptime {
+    /// The time since now.
+    #[must_use]
+    pub fn new(timer: Timer) -> Self {
+        Self {
+            cycles: 0,
+            value: timer.value(),
+            timer,
+        }
+    }
+
+    /// Ticks of 10 microseconds, which never go back.
+    pub fn ticks(&mut self) -> u64 {
+        let value = self.timer.value();
+        self.cycles += u64::from(self.value.wrapping_sub(value));
+        self.value = value;
+        self.cycles / CYCLES_PER_TICK
+    }
+}
+
+/// The time of day, in signing time.
+///
+/// Stands for the real-time clock that this board does not have. It must be read as often as
+/// [`Uptime`].
+pub struct WallClock {
+    uptime: Uptime,
+    start: Timestamp,
 }
 
 impl WallClock {
@@ -71,18 +98,13 @@ impl WallClock {
         };
         Some(Self {
             start: Timestamp::from_unix_micros(seconds as u64 * 1_000_000)?,
-            cycles: 0,
-            value: timer.value(),
-            timer,
+            uptime: Uptime::new(timer),
         })
     }
 }
 
 impl Clock for WallClock {
     fn now(&mut self) -> Timestamp {
-        let value = self.timer.value();
-        self.cycles += u64::from(self.value.wrapping_sub(value));
-        self.value = value;
-        self.start.saturating_add(self.cycles / CYCLES_PER_TICK)
+        self.start.saturating_add(self.uptime.ticks())
     }
 }

@@ -13,11 +13,15 @@ const WORD_SIZE: usize = 8;
 pub const PAGE_SIZE: usize = 2048;
 /// Bytes of one flash: two pages.
 const SIZE: usize = 2 * PAGE_SIZE;
+/// How many there are: two for the relay, and one for each counter of a sealed link.
+const COUNT: usize = 2 + COUNTERS;
+/// How many counters there is a flash for: those of a vehicle and 8 stations.
+pub const COUNTERS: usize = 9;
 /// What erased bytes read as.
 const ERASED: u8 = 0xFF;
 
 #[repr(C, align(8))]
-struct Memory([UnsafeCell<MaybeUninit<[u8; SIZE]>>; 2]);
+struct Memory([UnsafeCell<MaybeUninit<[u8; SIZE]>>; COUNT]);
 
 // SAFETY: `Flash::new` is the only one that reaches it, and its caller promises to be alone.
 unsafe impl Sync for Memory {}
@@ -25,18 +29,18 @@ unsafe impl Sync for Memory {}
 /// Not cleared at the start; what an emulator begins with is no record of a store.
 // SAFETY: the section is one that cortex-m-rt's linker script has, and neither loads nor clears.
 #[unsafe(link_section = ".uninit.flash")]
-static MEMORY: Memory = Memory([const { UnsafeCell::new(MaybeUninit::uninit()) }; 2]);
+static MEMORY: Memory = Memory([const { UnsafeCell::new(MaybeUninit::uninit()) }; COUNT]);
 
 /// Two pages of 2 KB, written in words of 8 bytes, as the STM32C0 has them.
 pub struct Flash(&'static mut [u8; SIZE]);
 
 impl Flash {
-    /// Both flashes: one for the mark, one for keys.
+    /// All of them.
     ///
     /// # Safety
     ///
     /// Called once in a run of the program.
-    pub(crate) unsafe fn new() -> [Self; 2] {
+    pub(crate) unsafe fn new() -> [Self; COUNT] {
         MEMORY.0.each_ref().map(|memory| {
             // SAFETY: the caller's promise; every byte of RAM holds some value, which nobody but this
             // program changes, and a `u8` may be any.
