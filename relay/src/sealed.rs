@@ -134,7 +134,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
             radio: Asking {
                 radio,
                 asked: None,
-                waiting: false,
+                unanswered: 0,
                 sequence: 0,
                 answer: None,
             },
@@ -454,8 +454,8 @@ struct Asking {
     radio: Radio,
     /// When it was last asked, in ticks.
     asked: Option<u64>,
-    /// It was asked and has not answered.
-    waiting: bool,
+    /// Questions that it has not answered.
+    unanswered: u8,
     /// Of the packets that are made from answers.
     sequence: u8,
     /// What is to be handed on.
@@ -470,17 +470,15 @@ impl Asking {
             return None;
         }
         self.asked = Some(now);
-        self.waiting = true;
+        self.unanswered = self.unanswered.saturating_add(1);
         Some(Request::Status)
     }
 
-    /// Takes what the radio says: one answer to a question, so that nobody can fill the air with them.
+    /// Takes what the radio says: an answer for each question, so that a radio cannot fill the air with
+    /// them.
     fn take(&mut self, bytes: &[u8]) -> Result<Status, Refusal> {
         let answer = Answer::from_wire(bytes)?;
-        if !self.waiting {
-            return Err(Refusal::NotAsked);
-        }
-        self.waiting = false;
+        self.unanswered = self.unanswered.checked_sub(1).ok_or(Refusal::NotAsked)?;
         self.answer = Some(*answer.status());
         Ok(*answer.status())
     }

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-pub(crate) use build::{Chip, Image, Profile, Rounds, build};
+pub(crate) use build::{Chip, Image, Profile, Rounds, build, build_with};
 use demo::LENGTHS;
 use program::Program;
 use sizes::{Symbols, sizes};

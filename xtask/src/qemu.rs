@@ -2,8 +2,8 @@
 
 use std::{
     fmt, fs,
-    io::{BufRead, BufReader, ErrorKind, Read},
-    net::{Ipv4Addr, TcpListener, TcpStream},
+    io::{BufRead, BufReader, ErrorKind, Read, Write as _},
+    net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream},
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::mpsc::{self, Receiver},
@@ -47,7 +47,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             .map(|port| format!("tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on"))
             .collect(),
     };
-    let mut machine = Machine::launch(&options.elf, &serial, |line| println!("{line}"))?;
+    let mut machine = Machine::launch(&options.elf, &serial, None, |line| println!("{line}"))?;
     let status = machine.wait(options.timeout.map(Duration::from_secs))?;
     std::process::exit(status.code().unwrap_or(1));
 }
@@ -57,6 +57,8 @@ pub(crate) struct Machine {
     /// UART0, UART1 and so on; taken by whoever reads or writes them
     pub(crate) serial: Vec<TcpStream>,
     child: Child,
+    /// QEMU's machine protocol
+    control: Option<BufReader<TcpStream>>,
     log: Option<JoinHandle<Result<()>>>,
 }
 
@@ -113,7 +115,12 @@ impl Machine {
             serial.push(format!("tcp:{},nodelay=on", listener.local_addr()?));
             listeners.push(listener);
         }
-        let mut machine = Self::launch(elf, &serial, on_line)?;
+        let control = TcpListener::bind((Ipv4Addr::LOCALHOST, 0))?;
+        let mut machine = Self::launch(elf, &serial, Some(control.local_addr()?), on_line)?;
+        let mut control = machine.accept(&control)?;
+        // QEMU takes no other command before this one.
+        writeln!(control, r#"{{"execute": "qmp_capabilities"}}"#)?;
+        machine.control = Some(BufReader::new(control));
         for listener in listeners {
             let stream = machine.accept(&listener)?;
             machine.serial.push(stream);
@@ -133,10 +140,28 @@ impl Machine {
         Ok((machine, ports.ok().context("two serial ports")?, log))
     }
 
-    /// Boots an ELF file with its UARTs where `serial` says, in QEMU's words.
+    /// Resets the board as its button does: the program starts anew, RAM stays as it is.
+    ///
+    /// # Errors
+    /// If QEMU does not say that it has.
+    pub(crate) fn reset(&mut self) -> Result<()> {
+        let control = self.control.as_mut().context("booted without control")?;
+        writeln!(control.get_mut(), r#"{{"execute": "system_reset"}}"#)?;
+        let mut line = String::new();
+        while !line.contains("\"RESET\"") {
+            line.clear();
+            ensure!(control.read_line(&mut line)? > 0, "QEMU has ended");
+            ensure!(!line.contains("\"error\""), "QEMU: {line}");
+        }
+        Ok(())
+    }
+
+    /// Boots an ELF file with its UARTs where `serial` says, in QEMU's words; QEMU asks for commands at
+    /// `control`.
     fn launch(
         elf: &Path,
         serial: &[String],
+        control: Option<SocketAddr>,
         on_line: impl FnMut(Line) + Send + 'static,
     ) -> Result<Machine> {
         let qemu = setup::qemu(&Shell::new()?)?;
@@ -158,6 +183,9 @@ impl Machine {
         for port in serial {
             command.args(["-serial", port]);
         }
+        if let Some(address) = control {
+            command.args(["-qmp", &format!("tcp:{address}")]);
+        }
         command.stdin(Stdio::null()).stdout(Stdio::piped());
         let mut child = command.spawn().context("QEMU cannot be run")?;
         let stdout = child.stdout.take().context("QEMU's output")?;
@@ -165,6 +193,7 @@ impl Machine {
         Ok(Machine {
             serial: Vec::new(),
             child,
+            control: None,
             log: Some(log),
         })
     }

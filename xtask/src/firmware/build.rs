@@ -1,8 +1,12 @@
 //! Builds the programs of `chips/`.
 
-use std::{env, fmt, path::PathBuf};
+use std::{
+    env, fmt, fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, ensure};
+use mavseal_keys::KeyFile;
 
 use crate::setup::{self, root};
 
@@ -97,11 +101,33 @@ impl fmt::Display for Image {
     }
 }
 
-/// Builds an image; gives the path of the ELF file.
+/// Builds an image; gives the path of the ELF file. One that seals gets keys that were made once for
+/// this machine.
 ///
 /// # Errors
 /// If there is no compiler for it, or it does not compile.
 pub(crate) fn build(image: &Image) -> Result<PathBuf> {
+    build_with(image, &keys()?)
+}
+
+/// The file with the keys of images that are only looked at.
+///
+/// # Errors
+/// If there is none and none can be made.
+pub(crate) fn keys() -> Result<PathBuf> {
+    let path = setup::target_dir()?.join("keys.toml");
+    if !path.exists() {
+        fs::create_dir_all(setup::target_dir()?)?;
+        KeyFile::generate(2)?.write_new(&path)?;
+    }
+    Ok(path)
+}
+
+/// Builds an image as [`build`] does, with the keys in the file `keys` if it seals.
+///
+/// # Errors
+/// As [`build`].
+pub(crate) fn build_with(image: &Image, keys: &Path) -> Result<PathBuf> {
     let chips = root().join("chips");
     let directory = chips.join(image.chip.directory());
     let toolchain = setup::toolchain(image.chip.target())?;
@@ -117,6 +143,7 @@ pub(crate) fn build(image: &Image) -> Result<PathBuf> {
     let mut cargo = toolchain.cargo("build");
     cargo
         .current_dir(&directory)
+        .env("MAVSEAL_KEYS", keys)
         .arg("--manifest-path")
         .arg(directory.join("Cargo.toml"));
     if image.rounds == Rounds::Unrolled {
