@@ -14,7 +14,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-pub(crate) use build::{Chip, Image, Profile, Rounds, build, build_with};
+pub(crate) use build::{Chip, Image, KEYS_VARIABLE, Profile, Rounds, build, build_with, keys};
 use demo::LENGTHS;
 use program::Program;
 use sizes::{Symbols, sizes};
@@ -155,6 +155,12 @@ const BUDGETS: &[Budget] = &[
     Budget {
         image: deployed(Chip::QemuM7, "relay", &["ardupilotmega"]),
         flash: 13_000,
+        ram: 64,
+        demo: None,
+    },
+    Budget {
+        image: deployed(Chip::QemuM7, "vehicle", &["ardupilotmega", "sealing"]),
+        flash: 25_000,
         ram: 64,
         demo: None,
     },

@@ -13,39 +13,50 @@ const WORD_SIZE: usize = 8;
 pub const PAGE_SIZE: usize = 2048;
 /// Bytes of one flash: two pages.
 const SIZE: usize = 2 * PAGE_SIZE;
-/// How many there are: two for the relay, and one for each counter of a sealed link.
-const COUNT: usize = 2 + COUNTERS;
-/// How many counters there is a flash for: those of a vehicle and 8 stations.
+/// How many counters of a sealed link there is a flash for: those of a vehicle and 8 stations.
 pub const COUNTERS: usize = 9;
+/// How many flashes there are: two for the relay, and those.
+const COUNT: usize = 2 + COUNTERS;
 /// What erased bytes read as.
 const ERASED: u8 = 0xFF;
 
+/// What stands before the flashes once they have been erased for the first time.
+const MADE: [u8; WORD_SIZE] = *b"mavseal\0";
+
+/// All flashes, behind the word that says that they are there.
+type Contents = ([u8; WORD_SIZE], [[u8; SIZE]; COUNT]);
+
 #[repr(C, align(8))]
-struct Memory([UnsafeCell<MaybeUninit<[u8; SIZE]>>; COUNT]);
+struct Memory(UnsafeCell<MaybeUninit<Contents>>);
 
 // SAFETY: `Flash::new` is the only one that reaches it, and its caller promises to be alone.
 unsafe impl Sync for Memory {}
 
-/// Not cleared at the start; what an emulator begins with is no record of a store.
+/// Not cleared at the start.
 // SAFETY: the section is one that cortex-m-rt's linker script has, and neither loads nor clears.
 #[unsafe(link_section = ".uninit.flash")]
-static MEMORY: Memory = Memory([const { UnsafeCell::new(MaybeUninit::uninit()) }; COUNT]);
+static MEMORY: Memory = Memory(UnsafeCell::new(MaybeUninit::uninit()));
 
 /// Two pages of 2 KB, written in words of 8 bytes, as the STM32C0 has them.
 pub struct Flash(&'static mut [u8; SIZE]);
 
 impl Flash {
-    /// All of them.
+    /// All flashes. They are erased when the machine has just been switched on, as those of a new board are.
     ///
     /// # Safety
     ///
     /// Called once in a run of the program.
     pub(crate) unsafe fn new() -> [Self; COUNT] {
-        MEMORY.0.each_ref().map(|memory| {
-            // SAFETY: the caller's promise; every byte of RAM holds some value, which nobody but this
-            // program changes, and a `u8` may be any.
-            Self(unsafe { &mut *memory.get().cast::<[u8; SIZE]>() })
-        })
+        // SAFETY: the caller's promise; every byte of RAM holds some value, which nobody but this program
+        // changes, and a `u8` may be any.
+        let (made, flashes) = unsafe { (*MEMORY.0.get()).assume_init_mut() };
+        if *made != MADE {
+            for flash in &mut *flashes {
+                flash.fill(ERASED);
+            }
+            *made = MADE;
+        }
+        flashes.each_mut().map(Self)
     }
 
     fn part(&mut self, from: u32, length: usize) -> Result<&mut [u8], NorFlashErrorKind> {

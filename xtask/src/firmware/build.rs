@@ -10,6 +10,9 @@ use mavseal_keys::KeyFile;
 
 use crate::setup::{self, root};
 
+/// Names the key file to images that seal: `chips/qemu-m7/build.rs`.
+pub(crate) const KEYS_VARIABLE: &str = "MAVSEAL_KEYS";
+
 /// A microcontroller, each with a crate in `chips/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Chip {
@@ -58,11 +61,12 @@ impl fmt::Display for Rounds {
     }
 }
 
-/// How an image signs.
+/// How an image signs, or seals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Profile {
     Hmac,
     Standard,
+    AesGcm,
 }
 
 impl fmt::Display for Profile {
@@ -70,6 +74,7 @@ impl fmt::Display for Profile {
         f.write_str(match self {
             Profile::Hmac => "Hmac",
             Profile::Standard => "Standard",
+            Profile::AesGcm => "AES-GCM",
         })
     }
 }
@@ -87,7 +92,9 @@ pub(crate) struct Image {
 
 impl Image {
     pub(crate) fn tags(&self) -> Profile {
-        if self.features.contains(&"standard-signature") {
+        if self.features.contains(&"sealing") {
+            Profile::AesGcm
+        } else if self.features.contains(&"standard-signature") {
             Profile::Standard
         } else {
             Profile::Hmac
@@ -143,7 +150,7 @@ pub(crate) fn build_with(image: &Image, keys: &Path) -> Result<PathBuf> {
     let mut cargo = toolchain.cargo("build");
     cargo
         .current_dir(&directory)
-        .env("MAVSEAL_KEYS", keys)
+        .env(KEYS_VARIABLE, keys)
         .arg("--manifest-path")
         .arg(directory.join("Cargo.toml"));
     if image.rounds == Rounds::Unrolled {

@@ -13,12 +13,15 @@ use object::{
 /// register access of stm32-metapac and of volatile-register leaves no check to run time.
 const ALLOWED_PANICS: [&str; 0] = [];
 
+/// Where QEMU's board models its flash, in RAM that it has and other boards need not.
+const FLASH_MODEL: &str = ".uninit";
+
 /// What an image takes of a microcontroller, in bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Sizes {
     /// Everything that is written to flash: vectors, code, constants, initial values of `.data`
     pub(crate) flash: u64,
-    /// What the linker gives an address in RAM: `.data`, `.bss`, `.uninit`; the stack is not in it
+    /// What the linker gives an address in RAM: `.data` and `.bss`; the stack is not in it
     pub(crate) ram_static: u64,
     pub(crate) sections: Vec<Section>,
 }
@@ -52,13 +55,11 @@ pub(crate) fn sizes(elf: &Path) -> Result<Sizes> {
         if header.sh_type(endian) != SHT_NOBITS {
             sizes.flash += size;
         }
-        if flags.contains(SHF_WRITE) {
+        let name = section.name()?.to_owned();
+        if flags.contains(SHF_WRITE) && name != FLASH_MODEL {
             sizes.ram_static += size;
         }
-        sizes.sections.push(Section {
-            name: section.name()?.to_owned(),
-            size,
-        });
+        sizes.sections.push(Section { name, size });
     }
     Ok(sizes)
 }
