@@ -117,6 +117,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
         Ok(Self {
             outward: Outward {
                 intake: Intake::new(Resync::AnnouncedEnd),
+                idle: IDLE,
                 packer: Packer::new(patience),
                 sealer: Sealer::resume(own.prepare()?, own.id, first),
                 mark: sent,
@@ -139,6 +140,14 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
                 answer: None,
             },
         })
+    }
+
+    /// The same end with `ticks` of silence on the plain side in place of [`IDLE`]: longer than any pause
+    /// within a packet.
+    #[must_use]
+    pub const fn idle(mut self, ticks: u64) -> Self {
+        self.outward.idle = ticks;
+        self
     }
 
     /// Takes one turn in each direction without waiting: sends what is left; when all of it has left,
@@ -253,6 +262,8 @@ impl<const SIZE: usize> Line<SIZE> {
 /// From the plain side to the radio.
 struct Outward<F, C: Cipher> {
     intake: Intake,
+    /// Ticks of silence that end a packet.
+    idle: u64,
     packer: Packer,
     sealer: Sealer<C>,
     mark: Mark<F>,
@@ -296,7 +307,8 @@ impl<F: NorFlash, C: Cipher> Outward<F, C> {
                 Some(Ok(packet)) => Ok(packet.as_bytes()),
                 Some(Err(error)) => Err(error.into()),
                 None => {
-                    let received = self.intake.receive(input, IDLE, now)?;
+                    let received = self.intake.receive(input, self.idle, now)?;
+                    self.counters.set_dropped(self.intake.dropped());
                     return Ok(sent || received);
                 }
             },

@@ -260,8 +260,8 @@ fn packets_arrive_whole_and_in_order_both_ways() {
     assert!(refusals(vehicle.end.opened()).is_empty());
     assert_eq!(
         format!("{:?}", vehicle.end),
-        "End { sealed: Counters { packages: 5, packets: 5, refused: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0] }, \
-         opened: Counters { packages: 1, packets: 1, refused: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0] }, .. }"
+        "End { sealed: Counters { packages: 5, packets: 5, refused: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], dropped: 0 }, \
+         opened: Counters { packages: 1, packets: 1, refused: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], dropped: 0 }, .. }"
     );
 }
 
@@ -314,6 +314,14 @@ fn what_cannot_be_sealed_is_refused_and_counted() {
     vehicle.now += mavseal_relay::IDLE + 1;
     vehicle.run();
     assert_eq!(vehicle.seal(&packet(61)).len(), 96);
+    // The three that are none, the half one.
+    assert_eq!(vehicle.end.sealed().dropped(), 3 * 30 + 30);
+    // Unless there may be longer pauses on the line.
+    vehicle.end = vehicle.end.idle(2 * mavseal_relay::IDLE);
+    vehicle.plain_in(&packet(60)[..30]);
+    vehicle.now += mavseal_relay::IDLE + 1;
+    vehicle.run();
+    assert_eq!(vehicle.seal(&packet(60)[30..]).len(), 96);
 }
 
 #[test]

@@ -228,6 +228,7 @@ pub struct Counters {
     packages: u32,
     packets: u32,
     refused: [u32; Refusal::ALL.len()],
+    dropped: u32,
 }
 
 impl Counters {
@@ -241,6 +242,13 @@ impl Counters {
     #[must_use]
     pub const fn packets(&self) -> u32 {
         self.packets
+    }
+
+    /// Bytes of the plain side that belonged to no packet: noise, and packets that were damaged, cut short
+    /// or unknown. Always 0 from the radio, where what is between frames is not counted.
+    #[must_use]
+    pub const fn dropped(&self) -> u32 {
+        self.dropped
     }
 
     /// What was refused for `reason`.
@@ -260,6 +268,10 @@ impl Counters {
 
     pub(crate) const fn count_packet(&mut self) {
         self.packets = self.packets.saturating_add(1);
+    }
+
+    pub(crate) const fn set_dropped(&mut self, dropped: u32) {
+        self.dropped = dropped;
     }
 
     pub(crate) fn count_refused(&mut self, reason: Refusal) {

@@ -525,11 +525,13 @@ impl Demo {
                 packages: self.vehicle.packages.len(),
                 packets: counted_before[0].packets + short.len() + self.radio_told - told_before,
                 refused: counted_before[0].refused + long,
+                dropped: 0,
             },
             Counted {
                 packages: counted_before[1].packages + opened,
                 packets: counted_before[1].packets + 2 * opened,
                 refused: counted_before[1].refused + refused,
+                dropped: 0,
             },
         ];
         if counted != expected {

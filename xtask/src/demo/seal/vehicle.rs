@@ -10,9 +10,11 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use mavlink_commsec::{hx, radio};
 
-use crate::demo::{Direction, PATIENCE, Port};
+use crate::demo::{Direction, Port};
 use crate::qemu::Machine;
 
+/// How long nothing may come while something is expected: this machine may be busy with other things.
+const PATIENCE: Duration = Duration::from_secs(20);
 /// How long nothing has come when all has.
 const MOMENT: Duration = Duration::from_millis(300);
 
@@ -49,6 +51,8 @@ pub(super) struct Counted {
     pub(super) packages: usize,
     pub(super) packets: usize,
     pub(super) refused: usize,
+    /// Bytes of no packet
+    pub(super) dropped: usize,
 }
 
 /// The board, and what has been seen of it since its last start.
@@ -186,13 +190,14 @@ impl Vehicle {
                 let numbers = counts.split(|c: char| !c.is_ascii_digit());
                 let numbers = numbers.filter(|number| !number.is_empty());
                 let numbers = numbers.map(str::parse).collect::<Result<Vec<_>, _>>()?;
-                let [packages, packets, refused] = numbers[..] else {
+                let [packages, packets, refused, dropped] = numbers[..] else {
                     bail!("the firmware counts so: {line}");
                 };
                 *counted = Counted {
                     packages,
                     packets,
                     refused,
+                    dropped,
                 };
             }
         }
