@@ -212,7 +212,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let name = [
             image.to_string(),
             image.tags().to_string(),
-            image.rounds.to_string(),
+            match image.tags() {
+                Profile::AesGcm => String::new(),
+                _ => image.rounds.to_string(),
+            },
         ];
         let mut limit = |is: u64, most: u64, what: &str| {
             if is > most {
