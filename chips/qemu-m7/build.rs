@@ -1,4 +1,4 @@
-//! Hands the linker its scripts.
+//! Hands the linker its scripts, and the vehicle of a sealed link its keys.
 
 fn main() {
     println!("cargo:rustc-link-search={}", env!("CARGO_MANIFEST_DIR"));
@@ -7,5 +7,37 @@ fn main() {
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     if std::env::var_os("CARGO_FEATURE_LOGGING").is_some() {
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+    }
+    #[cfg(feature = "sealing")]
+    if let Err(error) = keys::write() {
+        println!("cargo::error={error}");
+    }
+}
+
+/// The key file as constants of the program.
+#[cfg(feature = "sealing")]
+mod keys {
+    use std::{env, error::Error, fs, path::Path};
+
+    use mavseal_keys::{Exceptions, KeyFile, Who};
+
+    /// The variable that names the key file.
+    const VARIABLE: &str = "MAVSEAL_KEYS";
+
+    pub(crate) fn write() -> Result<(), Box<dyn Error>> {
+        println!("cargo::rerun-if-env-changed={VARIABLE}");
+        let path = env::var_os(VARIABLE).ok_or_else(|| {
+            format!(
+                "{VARIABLE} names no key file. `cargo xtask keys --stations 2 FILE` makes one; then \
+                 {VARIABLE}=FILE cargo build, with the whole path of FILE"
+            )
+        })?;
+        let path = Path::new(&path);
+        println!("cargo::rerun-if-changed={}", path.display());
+        let keys = KeyFile::read(path, Exceptions::default())?;
+        let source = keys.constants(Who::Vehicle)?;
+        let folder = env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?;
+        fs::write(Path::new(&folder).join("keys.rs"), source.as_bytes())?;
+        Ok(())
     }
 }

@@ -95,7 +95,9 @@ extern crate kani;
 mod direction;
 mod event;
 mod kept;
+mod port;
 mod pump;
+pub mod sealed;
 mod slots;
 
 pub use direction::{Forward, Handed, Signer, Verifier};
@@ -105,7 +107,7 @@ pub use kept::{BehindMark, FIRST_RESERVATION, Kept, KeptError};
 ///
 /// Without [`Kept`], it must be shared with the peer as closely as the [`Replay`]'s window asks for.
 pub use mavlink_signing::Timekeeper as Clock;
-pub use pump::PortError;
+pub use port::PortError;
 pub use slots::{KEYS_SIZE, KeySlots};
 
 use core::fmt;

@@ -1,57 +1,19 @@
 //! One direction: bytes in, packets treated, frames out, without waiting.
 
-use core::fmt;
-
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Decoder, Frame, FrameRef, Keys, Profile, Timekeeper, Timestamp, dialect};
+use mavlink_signing::{Frame, FrameRef, Keys, Profile, Timekeeper};
 
 use crate::Link;
 use crate::direction::Treat;
 use crate::event::{Counters, Event, Offender};
-
-/// Bytes read at most in one poll.
-const READ_SIZE: usize = 64;
-
-/// Which of a direction's two ports failed, and with what.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum PortError<Input, Output> {
-    /// The port that is read failed.
-    Input(Input),
-    /// The port that is written failed.
-    Output(Output),
-    /// The port that is read said that it was ready, and gave nothing: it has ended.
-    InputClosed,
-    /// The port that is written said that it was ready, and took nothing.
-    OutputClosed,
-}
-
-impl<Input: fmt::Display, Output: fmt::Display> fmt::Display for PortError<Input, Output> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Input(error) => write!(f, "cannot read: {error}"),
-            Self::Output(error) => write!(f, "cannot write: {error}"),
-            Self::InputClosed => f.write_str("the port gives no more bytes"),
-            Self::OutputClosed => f.write_str("the port takes no more bytes"),
-        }
-    }
-}
-
-impl<Input, Output> core::error::Error for PortError<Input, Output>
-where
-    Input: fmt::Debug + fmt::Display,
-    Output: fmt::Debug + fmt::Display,
-{
-}
+use crate::port::{Intake, PortError, send};
 
 /// A direction of the relay.
 #[derive(Debug)]
 pub(crate) struct Pump<T> {
-    decoder: Decoder,
+    intake: Intake,
     treat: T,
     sending: Option<Sending>,
-    /// When the line was last not silent; `None` when nothing has come since it was.
-    heard: Option<Timestamp>,
     counters: Counters,
 }
 
@@ -82,10 +44,9 @@ impl<T> Pump<T> {
 impl<T: Treat> Pump<T> {
     pub(crate) fn new(treat: T) -> Self {
         Self {
-            decoder: Decoder::new(T::RESYNC, dialect::crc_extra),
+            intake: Intake::new(T::RESYNC),
             treat,
             sending: None,
-            heard: None,
             counters: Counters::default(),
         }
     }
@@ -93,10 +54,9 @@ impl<T: Treat> Pump<T> {
     /// The same direction, which treats packets otherwise from now on.
     pub(crate) fn map<U: Treat>(self, change: impl FnOnce(T) -> U) -> Pump<U> {
         Pump {
-            decoder: self.decoder,
+            intake: self.intake,
             treat: change(self.treat),
             sending: self.sending,
-            heard: self.heard,
             counters: self.counters,
         }
     }
@@ -110,11 +70,10 @@ impl<T: Treat> Pump<T> {
         clock: &mut impl Timekeeper,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let now = clock.now();
+        let now = clock.now().ticks();
         let sent = self.send(output)?;
         if sent || self.sending.is_some() {
-            // What was not read meanwhile, the sender may have held back: that is no silence.
-            self.heard = self.heard.map(|_| now);
+            self.intake.not_read(now);
         }
         // The frame being sent is the bound on memory: no next one before it has left.
         if self.sending.is_some() {
@@ -123,7 +82,7 @@ impl<T: Treat> Pump<T> {
         if self.treat_next(&mut link.keys, clock, observe) {
             return Ok(true);
         }
-        let received = self.receive(input, link.idle, now)?;
+        let received = self.intake.receive(input, link.idle, now)?;
         Ok(sent || received)
     }
 
@@ -132,24 +91,12 @@ impl<T: Treat> Pump<T> {
         &mut self,
         output: &mut Output,
     ) -> Result<bool, PortError<InputError, Output::Error>> {
-        let mut moved = false;
-        while let Some(sending) = &mut self.sending {
-            let rest = sending
-                .frame
-                .as_bytes()
-                .get(sending.sent..)
-                .unwrap_or_default();
-            if rest.is_empty() {
-                self.sending = None;
-            } else if !output.write_ready().map_err(PortError::Output)? {
-                break;
-            } else {
-                match output.write(rest).map_err(PortError::Output)? {
-                    0 => return Err(PortError::OutputClosed),
-                    written => sending.sent += written,
-                }
-                moved = true;
-            }
+        let Some(Sending { frame, sent }) = &mut self.sending else {
+            return Ok(false);
+        };
+        let moved = send(output, frame.as_bytes(), sent)?;
+        if *sent >= frame.as_bytes().len() {
+            self.sending = None;
         }
         Ok(moved)
     }
@@ -161,7 +108,7 @@ impl<T: Treat> Pump<T> {
         clock: &mut impl Timekeeper,
         observe: &mut impl FnMut(Event),
     ) -> bool {
-        let decoded = self.decoder.read();
+        let decoded = self.intake.read();
         let treated = decoded.map(|decoded| match decoded {
             Ok(packet) => {
                 let treated = self.treat.treat(packet, keys, clock);
@@ -169,7 +116,7 @@ impl<T: Treat> Pump<T> {
             }
             Err(error) => Err((error.into(), None)),
         });
-        self.counters.set_dropped(self.decoder.dropped());
+        self.counters.set_dropped(self.intake.dropped());
         match treated {
             None => return false,
             Some(Ok((frame, event))) => {
@@ -183,34 +130,5 @@ impl<T: Treat> Pump<T> {
             }
         }
         true
-    }
-
-    /// Reads what has arrived, or notices that nothing has for long; whether there is more to do.
-    fn receive<Input: Read + ReadReady, OutputError>(
-        &mut self,
-        input: &mut Input,
-        idle: u64,
-        now: Timestamp,
-    ) -> Result<bool, PortError<Input::Error, OutputError>> {
-        if input.read_ready().map_err(PortError::Input)? {
-            let mut bytes = [0; READ_SIZE];
-            // The decoder has been read to its end, so there is room for at least one byte.
-            let room = self.decoder.room().min(READ_SIZE);
-            let slots = bytes.get_mut(..room).unwrap_or_default();
-            let count = input.read(slots).map_err(PortError::Input)?;
-            if count == 0 {
-                return Err(PortError::InputClosed);
-            }
-            self.decoder.write(bytes.get(..count).unwrap_or_default());
-            self.heard = Some(now);
-            return Ok(true);
-        }
-        let silent = |heard| now.ticks_since(heard) > idle;
-        if self.heard.is_some_and(silent) {
-            self.heard = None;
-            self.decoder.idle();
-            return Ok(true);
-        }
-        Ok(false)
     }
 }

@@ -1,8 +1,7 @@
 //! The in-line signer on the host, over ports in memory.
 
-use std::collections::VecDeque;
+mod ports;
 
-use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
     Admit, Frame, FrameRef, Header, Hmac, Links, MessageId, Packet, RadioStatus, Refuse, Replay,
     SigningKey, Stamp, Stamper, Streams, Timestamp, UnsignedPolicy, VerifyError, Window,
@@ -12,6 +11,7 @@ use mavseal_relay::{
     Counters, Direction, Event, Forward, IDLE, Offender, PortError, Refusal, Relay, SameLinkId,
     Signer, Verifier,
 };
+use ports::{Broken, Line};
 
 const KEY: [u8; 32] = *b"a key for tests, known to anyone";
 const LINK_OUT: u8 = 1;
@@ -21,92 +21,6 @@ const NOW: u64 = 37_555_200_000_000;
 const SILENCE: u64 = 10_000;
 /// More turns than any test needs.
 const MANY: u32 = 100_000;
-/// More bytes than any test sends.
-const ENOUGH: usize = 1_000_000;
-
-/// A port of which the test is the other end.
-#[derive(Default)]
-struct Line {
-    input: VecDeque<u8>,
-    output: Vec<u8>,
-    /// Bytes that may still be written before the port is not ready.
-    room: usize,
-    /// Bytes taken by one write at most.
-    at_once: usize,
-    broken: bool,
-    ended: bool,
-}
-
-impl Line {
-    fn new() -> Self {
-        Self {
-            room: usize::MAX,
-            at_once: usize::MAX,
-            ..Self::default()
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Broken;
-
-impl std::fmt::Display for Broken {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("broken")
-    }
-}
-
-impl std::error::Error for Broken {}
-
-impl embedded_io::Error for Broken {
-    fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
-    }
-}
-
-impl ErrorType for Line {
-    type Error = Broken;
-}
-
-impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, Broken> {
-        if self.broken {
-            return Err(Broken);
-        }
-        Ok(self.ended || !self.input.is_empty())
-    }
-}
-
-impl Read for Line {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Broken> {
-        assert!(
-            self.ended || !self.input.is_empty(),
-            "the relay never waits for input"
-        );
-        Ok(std::io::Read::read(&mut self.input, buffer).expect("memory"))
-    }
-}
-
-impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, Broken> {
-        Ok(self.room > 0)
-    }
-}
-
-impl Write for Line {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Broken> {
-        assert!(self.room > 0, "the relay never waits for output");
-        assert!(self.output.len() < ENOUGH, "the relay writes without end");
-        let count = bytes.len().min(self.room).min(self.at_once);
-        self.output.extend(&bytes[..count]);
-        self.room -= count;
-        Ok(count)
-    }
-
-    fn flush(&mut self) -> Result<(), Broken> {
-        Ok(())
-    }
-}
 
 /// A relay, its two lines and its clock.
 struct Bench<R = Replay, U = Refuse> {

@@ -59,6 +59,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step("demonstration", demonstration);
     checks.step("demonstration with an echo must fail", echo_fails);
     checks.step("demonstration of restarts", restarts);
+    checks.step("demonstration of a sealed link", sealed_demonstration);
+    checks.step(
+        "demonstration with other keys than the vehicle's must fail",
+        other_keys_fail,
+    );
     checks.step("properties and their table", proofs::check);
     checks.step_unless("fast proofs", proofs::fast);
     checks.step("inputs of the fuzz targets, and their table", inputs);
@@ -244,13 +249,19 @@ fn firmware_lints() -> Result<Option<String>> {
         if !version.arg("--version").output()?.status.success() {
             return Ok(Some(format!("{toolchain} has no clippy")));
         }
-        for features in [
+        let sealing = match chip {
+            Chip::QemuM7 => &["common,sealing", "common,logging,sealing"][..],
+            Chip::Stm32c092rc => &[],
+        };
+        let signing = [
             "common",
             "common,logging",
             "common,logging,standard-signature",
             "minimal,leaky",
-        ] {
+        ];
+        for features in signing.iter().chain(sealing) {
             let mut cargo = toolchain.cargo("clippy");
+            cargo.env(firmware::KEYS_VARIABLE, firmware::keys()?);
             cargo.current_dir(root().join("chips").join(chip.directory()));
             cargo.args(["--quiet", "--locked", "--no-default-features"]);
             cargo.args(["--features", features, "--", "-D", "warnings"]);
@@ -285,20 +296,39 @@ fn demonstration() -> Result<()> {
 }
 
 fn echo_fails() -> Result<()> {
+    fails(
+        &["--firmware", "echo"],
+        "left the secure side unsigned",
+        "the demonstration took an echo for a signer",
+    )
+}
+
+fn sealed_demonstration() -> Result<()> {
     let sh = shell(".")?;
-    let echo = cmd!(sh, "cargo xtask demo --firmware echo").ignore_status();
-    let output = echo.output()?;
+    cmd!(sh, "cargo xtask demo --seal").run()?;
+    Ok(())
+}
+
+fn other_keys_fail() -> Result<()> {
+    fails(
+        &["--seal", "--other-keys"],
+        "from the vehicle: bad tag",
+        "stations with other keys heard the vehicle",
+    )
+}
+
+/// Runs a demonstration that must fail for this reason; `otherwise` is what has happened if it does not.
+fn fails(arguments: &[&str], reason: &str, otherwise: &str) -> Result<()> {
+    let sh = shell(".")?;
+    let demo = cmd!(sh, "cargo xtask demo {arguments...}").ignore_status();
+    let output = demo.output()?;
     let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(
-        !output.status.success(),
-        "the demonstration took an echo for a signer"
-    );
-    let reason = "left the secure side unsigned";
+    ensure!(!output.status.success(), "{otherwise}");
     ensure!(
         said.contains(reason),
         "it failed for another reason:\n{said}"
     );
-    println!("failed, as it must: a frame {reason}");
+    println!("failed, as it must: {reason}");
     Ok(())
 }
 

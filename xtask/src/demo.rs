@@ -1,15 +1,19 @@
 //! `cargo xtask demo`: recorded telemetry through the signer on an emulated Cortex-M7.
 
 mod restart;
+mod seal;
 pub(crate) mod wire;
 
 use std::{
-    collections::BTreeMap,
     fs,
     io::{Read, Write},
     net::TcpStream,
     path::Path,
-    sync::mpsc::{self, Receiver, RecvTimeoutError},
+    sync::{
+        Arc,
+        atomic::{AtomicUsize, Ordering},
+        mpsc::{self, Receiver, Sender},
+    },
     thread,
     time::{Duration, Instant, SystemTime},
 };
@@ -46,6 +50,15 @@ pub(crate) struct Options {
     /// Instead, reset the machine again and again while the link is in use and its key is changed
     #[arg(long, conflicts_with = "firmware")]
     restart: bool,
+    /// Instead, seal: one vehicle and two ground stations, over links that lose, double and reorder
+    #[arg(long, conflicts_with_all = ["firmware", "restart"])]
+    seal: bool,
+    /// With --seal: what the links do, as an earlier run printed it
+    #[arg(long, requires = "seal")]
+    seed: Option<u64>,
+    /// With --seal: give the stations other keys than the vehicle; the demonstration fails
+    #[arg(long, requires = "seal")]
+    other_keys: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -59,6 +72,9 @@ enum Firmware {
 /// # Errors
 /// If anything came out that should not have, or did not come out that should have.
 pub(crate) fn run(options: &Options) -> Result<()> {
+    if options.seal {
+        return seal::run(options.seed, options.other_keys);
+    }
     let elf = firmware::build(&Image {
         chip: Chip::QemuM7,
         bin: match options.firmware {
@@ -178,7 +194,7 @@ impl Demo {
         let came = exchange(
             &mut self.plain,
             &mut self.secure,
-            &acts.stream(),
+            acts.stream(),
             telemetry.len(),
         )?;
         let mut last = 0;
@@ -278,7 +294,7 @@ impl Demo {
         let came = exchange(
             &mut self.secure,
             &mut self.plain,
-            &acts.stream(),
+            acts.stream(),
             telemetry.len(),
         )?;
         for (at, frame) in came.frames.iter().enumerate() {
@@ -485,12 +501,14 @@ fn ticks_in(duration: Duration) -> u64 {
     (duration.as_micros() / 10) as u64
 }
 
-/// One side of the firmware.
+/// One side of the firmware, read and written by threads of its own.
 struct Port {
     stream: TcpStream,
     received: usize,
     sent: usize,
     bytes: Receiver<Vec<u8>>,
+    outbox: Sender<Vec<u8>>,
+    written: Arc<AtomicUsize>,
 }
 
 impl Port {
@@ -506,12 +524,45 @@ impl Port {
                 }
             }
         });
+        let mut writer = stream.try_clone()?;
+        let (outbox, to_send) = mpsc::channel::<Vec<u8>>();
+        let written = Arc::new(AtomicUsize::new(0));
+        let count = Arc::clone(&written);
+        thread::spawn(move || {
+            for bytes in to_send {
+                // Ends with the emulator; then what was sent is never written.
+                if writer.write_all(&bytes).is_err() {
+                    break;
+                }
+                count.fetch_add(bytes.len(), Ordering::Relaxed);
+            }
+        });
         Ok(Self {
             stream,
             received: 0,
             sent: 0,
             bytes,
+            outbox,
+            written,
         })
+    }
+
+    /// Sends `bytes` after everything before, without waiting until they are taken.
+    fn send(&mut self, bytes: Vec<u8>) -> Result<()> {
+        self.sent += bytes.len();
+        self.outbox.send(bytes).context("the emulator has ended")
+    }
+
+    /// Whether everything that was sent has been taken.
+    fn is_written(&self) -> bool {
+        self.written.load(Ordering::Relaxed) == self.sent
+    }
+
+    /// The bytes that come within `wait`.
+    fn receive(&mut self, wait: Duration) -> Option<Vec<u8>> {
+        let bytes = self.bytes.recv_timeout(wait).ok()?;
+        self.received += bytes.len();
+        Some(bytes)
     }
 }
 
@@ -522,45 +573,35 @@ struct Came {
 }
 
 /// Sends `stream` into one port and collects what comes out of the other, until nothing more does.
-fn exchange(into: &mut Port, out_of: &mut Port, stream: &[u8], expected: usize) -> Result<Came> {
-    let mut writer = into.stream.try_clone()?;
-    into.sent += stream.len();
+fn exchange(into: &mut Port, out_of: &mut Port, stream: Vec<u8>, expected: usize) -> Result<Came> {
+    into.send(stream)?;
     let mut came = Came {
         frames: Vec::new(),
         failure: None,
     };
-    thread::scope(|scope| {
-        let writing = scope.spawn(move || writer.write_all(stream));
-        let mut pending = Vec::new();
-        loop {
-            // When all has come, only a moment for what must not come.
-            let all = came.frames.len() >= expected && writing.is_finished();
-            let wait = if all { PATIENCE / 20 } else { PATIENCE };
-            match out_of.bytes.recv_timeout(wait) {
-                Ok(bytes) => {
-                    out_of.received += bytes.len();
-                    pending.extend(bytes);
-                    match wire::take_frames(&mut pending) {
-                        Ok(frames) => came.frames.extend(frames),
-                        Err(error) if came.failure.is_none() => {
-                            came.failure = Some(error.to_string());
-                        }
-                        Err(_) => {}
-                    }
-                }
-                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
-            }
+    let mut pending = Vec::new();
+    loop {
+        // When all has come, only a moment for what must not come.
+        let all = came.frames.len() >= expected && into.is_written();
+        let Some(bytes) = out_of.receive(if all { PATIENCE / 20 } else { PATIENCE }) else {
+            break;
+        };
+        pending.extend(bytes);
+        match wire::take_frames(&mut pending) {
+            Ok(frames) => came.frames.extend(frames),
+            Err(error) if came.failure.is_none() => came.failure = Some(error.to_string()),
+            Err(_) => {}
         }
-        if !writing.is_finished() {
-            came.failure = Some("the firmware takes no more bytes".into());
-            // Ends the write.
-            into.stream.shutdown(std::net::Shutdown::Both)?;
-        }
-        if !pending.is_empty() {
-            came.failure.get_or_insert("half a frame came out".into());
-        }
-        Ok(came)
-    })
+    }
+    if !into.is_written() {
+        came.failure = Some("the firmware takes no more bytes".into());
+        // Ends the write.
+        into.stream.shutdown(std::net::Shutdown::Both)?;
+    }
+    if !pending.is_empty() {
+        came.failure.get_or_insert("half a frame came out".into());
+    }
+    Ok(came)
 }
 
 /// The log, equal lines in a row as one.
@@ -574,29 +615,44 @@ fn print_log(lines: &[String]) {
 }
 
 fn table(passed: &str, acts: &[Act]) -> Table {
+    let rows = acts.iter().map(|act| Row {
+        name: act.name.to_owned(),
+        counts: [act.frames, act.passed, act.refused],
+        because: act.refusal.unwrap_or_default().to_owned(),
+    });
+    summed(["frames", passed, "refused"], rows)
+}
+
+/// A line of a table: what was sent, what became of it, and why not more.
+#[derive(Clone, Debug)]
+struct Row<const COUNTS: usize> {
+    name: String,
+    counts: [usize; COUNTS],
+    because: String,
+}
+
+/// A table of `rows` and their sums, with these names above the counts.
+fn summed<const COUNTS: usize>(
+    names: [&str; COUNTS],
+    rows: impl IntoIterator<Item = Row<COUNTS>>,
+) -> Table {
     let mut table = Table::new();
     table.load_preset(presets::NOTHING);
-    table.set_header(["sent", "frames", passed, "refused", "because"]);
-    let mut total = BTreeMap::new();
-    for act in acts {
-        table.add_row([
-            act.name.to_owned(),
-            act.frames.to_string(),
-            act.passed.to_string(),
-            act.refused.to_string(),
-            act.refusal.unwrap_or_default().to_owned(),
-        ]);
-        for (column, count) in [act.frames, act.passed, act.refused]
-            .into_iter()
-            .enumerate()
-        {
-            *total.entry(column).or_insert(0) += count;
+    let header = ["sent"].into_iter().chain(names).chain(["because"]);
+    table.set_header(header);
+    let mut sums = [0; COUNTS];
+    let mut add = |name: String, counts: [usize; COUNTS], because: String| {
+        let counts = counts.map(|count| count.to_string());
+        table.add_row([name].into_iter().chain(counts).chain([because]));
+    };
+    for row in rows {
+        for (sum, count) in sums.iter_mut().zip(row.counts) {
+            *sum += count;
         }
+        add(row.name, row.counts, row.because);
     }
-    let mut row = vec!["all".to_owned()];
-    row.extend(total.values().map(ToString::to_string));
-    table.add_row(row);
-    for column in 1..=3 {
+    add("all".to_owned(), sums, String::new());
+    for column in 1..=COUNTS {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(CellAlignment::Right);
         }

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use comfy_table::{CellAlignment, Table, presets};
 
-pub(crate) use build::{Chip, Image, Profile, Rounds, build};
+pub(crate) use build::{Chip, Image, KEYS_VARIABLE, Profile, Rounds, build, build_with, keys};
 use demo::LENGTHS;
 use program::Program;
 use sizes::{Symbols, sizes};
@@ -158,6 +158,12 @@ const BUDGETS: &[Budget] = &[
         ram: 64,
         demo: None,
     },
+    Budget {
+        image: deployed(Chip::QemuM7, "vehicle", &["ardupilotmega", "sealing"]),
+        flash: 25_000,
+        ram: 64,
+        demo: None,
+    },
 ];
 
 /// Bytes of flash for the smallest images.
@@ -208,7 +214,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         let name = [
             image.to_string(),
             image.tags().to_string(),
-            image.rounds.to_string(),
+            match image.tags() {
+                Profile::AesGcm => String::new(),
+                _ => image.rounds.to_string(),
+            },
         ];
         let mut limit = |is: u64, most: u64, what: &str| {
             if is > most {

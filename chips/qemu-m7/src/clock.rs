@@ -44,15 +44,45 @@ impl Timer {
     }
 }
 
-/// The time of day, in signing time.
+/// The time since the start, in ticks of 10 microseconds.
 ///
-/// Stands for the real-time clock that this board does not have. It must be read at least every
-/// 171 seconds, when the timer comes round.
-pub struct WallClock {
+/// It must be read at least every 171 seconds, when the timer comes round.
+pub struct Uptime {
     timer: Timer,
     /// The last whole tick, and what the timer showed when it began.
-    now: Timestamp,
+    now: u64,
     value: u32,
+}
+
+impl Uptime {
+    /// The time since now.
+    #[must_use]
+    pub fn new(timer: Timer) -> Self {
+        Self {
+            now: 0,
+            value: timer.value(),
+            timer,
+        }
+    }
+
+    /// Ticks of 10 microseconds, which never go back.
+    // In a place of its own: it is asked at many.
+    #[inline(never)]
+    pub fn ticks(&mut self) -> u64 {
+        let ticks = self.value.wrapping_sub(self.timer.value()) / CYCLES_PER_TICK;
+        self.value = self.value.wrapping_sub(ticks * CYCLES_PER_TICK);
+        self.now = self.now.saturating_add(ticks.into());
+        self.now
+    }
+}
+
+/// The time of day, in signing time.
+///
+/// Stands for the real-time clock that this board does not have. It must be read as often as
+/// [`Uptime`].
+pub struct WallClock {
+    uptime: Uptime,
+    start: Timestamp,
 }
 
 impl WallClock {
@@ -70,20 +100,14 @@ impl WallClock {
             }
         };
         Some(Self {
-            now: Timestamp::from_unix_seconds(seconds as u64)?,
-            value: timer.value(),
-            timer,
+            start: Timestamp::from_unix_seconds(seconds as u64)?,
+            uptime: Uptime::new(timer),
         })
     }
 }
 
 impl Clock for WallClock {
-    // In a place of its own: it is asked at many.
-    #[inline(never)]
     fn now(&mut self) -> Timestamp {
-        let ticks = self.value.wrapping_sub(self.timer.value()) / CYCLES_PER_TICK;
-        self.value = self.value.wrapping_sub(ticks * CYCLES_PER_TICK);
-        self.now = self.now.saturating_add(ticks.into());
-        self.now
+        self.start.saturating_add(self.uptime.ticks())
     }
 }

@@ -13,15 +13,21 @@ const WORD_SIZE: usize = 8;
 pub const PAGE_SIZE: usize = 2048;
 /// Bytes of one flash: two pages.
 const SIZE: usize = 2 * PAGE_SIZE;
+/// How many counters of a sealed link there is a flash for: those of a vehicle and 8 stations.
+pub const COUNTERS: usize = 9;
+/// How many flashes there are: two for the relay, and those.
+const COUNT: usize = 2 + COUNTERS;
 /// What erased bytes read as.
 const ERASED: u8 = 0xFF;
 
 /// What stands before the flashes once they have been erased for the first time.
 const MADE: [u8; WORD_SIZE] = *b"mavseal\0";
 
-/// Both flashes, behind the word that says that they are there.
+/// All flashes, behind the word that says that they are there.
+type Contents = ([u8; WORD_SIZE], [[u8; SIZE]; COUNT]);
+
 #[repr(C, align(8))]
-struct Memory(UnsafeCell<MaybeUninit<([u8; WORD_SIZE], [[u8; SIZE]; 2])>>);
+struct Memory(UnsafeCell<MaybeUninit<Contents>>);
 
 // SAFETY: `Flash::new` is the only one that reaches it, and its caller promises to be alone.
 unsafe impl Sync for Memory {}
@@ -35,13 +41,13 @@ static MEMORY: Memory = Memory(UnsafeCell::new(MaybeUninit::uninit()));
 pub struct Flash(&'static mut [u8; SIZE]);
 
 impl Flash {
-    /// Both flashes: one for the mark, one for keys. They are erased when the machine has just been switched
-    /// on, as those of a new board are.
+    /// All flashes: one for the relay's mark, one for its keys, one for each counter of a sealed link. They are
+    /// erased when the machine has just been switched on, as those of a new board are.
     ///
     /// # Safety
     ///
     /// Called once in a run of the program.
-    pub(crate) unsafe fn new() -> [Self; 2] {
+    pub(crate) unsafe fn new() -> [Self; COUNT] {
         // SAFETY: the caller's promise; every byte of RAM holds some value, which nobody but this program
         // changes, and a `u8` may be any.
         let (made, flashes) = unsafe { (*MEMORY.0.get()).assume_init_mut() };

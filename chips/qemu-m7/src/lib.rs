@@ -1,4 +1,4 @@
-//! The MPS2-AN500 board as QEMU emulates it: two UARTs, a timer, semihosting, and a flash made of RAM.
+//! The MPS2-AN500 board as QEMU emulates it: two UARTs, a timer, semihosting, and flashes made of RAM.
 //!
 //! Everything about security is in `mavlink-signing` and `mavseal-relay`; here is only what another
 //! board has in another way.
@@ -9,6 +9,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 mod clock;
 mod flash;
+mod log;
 mod panic;
 mod uart;
 mod vectors;
@@ -18,8 +19,9 @@ use cortex_m as _;
 #[cfg(feature = "logging")]
 use defmt_semihosting as _;
 
-pub use clock::{Timer, WallClock};
-pub use flash::{Flash, PAGE_SIZE};
+pub use clock::{Timer, Uptime, WallClock};
+pub use flash::{COUNTERS, Flash, PAGE_SIZE};
+pub use log::Runs;
 pub use mavseal_demo::{DEMO_KEY, DEMO_PASSPHRASE, info, warn};
 pub use semihosting::process::exit;
 pub use uart::{Overrun, Uart};
@@ -30,8 +32,10 @@ pub struct Board {
     pub uarts: [Uart; 2],
     /// The timer that the wall clock runs on.
     pub timer: Timer,
-    /// A flash for the mark, and one for keys.
+    /// A flash for the relay's mark, and one for its keys.
     pub flashes: [Flash; 2],
+    /// Flashes for the counters of a sealed link: the vehicle's own, then those of its stations.
+    pub counters: [Flash; COUNTERS],
 }
 
 impl Board {
@@ -46,10 +50,12 @@ impl Board {
         // (Arm DAI 0400), CMSDK APB peripherals all; nobody else has them, now or later. The flashes are
         // made here alone.
         unsafe {
+            let [mark, keys, counters @ ..] = Flash::new();
             Some(Self {
                 uarts: [Uart::new(0x4000_4000), Uart::new(0x4000_5000)],
                 timer: Timer::new(0x4000_0000),
-                flashes: Flash::new(),
+                flashes: [mark, keys],
+                counters,
             })
         }
     }

@@ -144,7 +144,7 @@ impl Play {
         exchange(
             &mut self.demo.plain,
             &mut self.demo.secure,
-            stream,
+            stream.to_vec(),
             expected,
         )
     }
@@ -153,7 +153,7 @@ impl Play {
         exchange(
             &mut self.demo.secure,
             &mut self.demo.plain,
-            stream,
+            stream.to_vec(),
             expected,
         )
     }

@@ -13,10 +13,15 @@ pub(crate) type Frame = Vec<u8>;
 
 /// A frame's checksum, by the message id in it; zero for a message that is not in the dialect.
 fn checksum(frame: &[u8], end: usize) -> [u8; 2] {
+    checksum_with(&frame[..end], MavMessage::extra_crc(message_id(frame)))
+}
+
+/// The checksum of a packet that ends with its payload.
+pub(super) fn checksum_with(packet: &[u8], crc_extra: u8) -> [u8; 2] {
     let crc = crc::Crc::<u16>::new(&crc::CRC_16_MCRF4XX);
     let mut digest = crc.digest();
-    digest.update(&frame[1..end]);
-    digest.update(&[MavMessage::extra_crc(message_id(frame))]);
+    digest.update(&packet[1..]);
+    digest.update(&[crc_extra]);
     digest.finalize().to_le_bytes()
 }
 

@@ -1,10 +1,17 @@
 //! Builds the programs of `chips/`.
 
-use std::{env, fmt, path::PathBuf};
+use std::{
+    env, fmt, fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, ensure};
+use mavseal_keys::KeyFile;
 
 use crate::setup::{self, root};
+
+/// Names the key file to images that seal: `chips/qemu-m7/build.rs`.
+pub(crate) const KEYS_VARIABLE: &str = "MAVSEAL_KEYS";
 
 /// A microcontroller, each with a crate in `chips/`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,11 +61,12 @@ impl fmt::Display for Rounds {
     }
 }
 
-/// How an image signs.
+/// How an image signs, or seals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Profile {
     Hmac,
     Standard,
+    AesGcm,
 }
 
 impl fmt::Display for Profile {
@@ -66,6 +74,7 @@ impl fmt::Display for Profile {
         f.write_str(match self {
             Profile::Hmac => "Hmac",
             Profile::Standard => "Standard",
+            Profile::AesGcm => "AES-GCM",
         })
     }
 }
@@ -83,7 +92,9 @@ pub(crate) struct Image {
 
 impl Image {
     pub(crate) fn tags(&self) -> Profile {
-        if self.features.contains(&"standard-signature") {
+        if self.features.contains(&"sealing") {
+            Profile::AesGcm
+        } else if self.features.contains(&"standard-signature") {
             Profile::Standard
         } else {
             Profile::Hmac
@@ -97,11 +108,33 @@ impl fmt::Display for Image {
     }
 }
 
-/// Builds an image; gives the path of the ELF file.
+/// Builds an image; gives the path of the ELF file. One that seals gets keys that were made once for
+/// this machine.
 ///
 /// # Errors
 /// If there is no compiler for it, or it does not compile.
 pub(crate) fn build(image: &Image) -> Result<PathBuf> {
+    build_with(image, &keys()?)
+}
+
+/// The file with the keys of images that are only looked at.
+///
+/// # Errors
+/// If there is none and none can be made.
+pub(crate) fn keys() -> Result<PathBuf> {
+    let path = setup::target_dir()?.join("keys.toml");
+    if !path.exists() {
+        fs::create_dir_all(setup::target_dir()?)?;
+        KeyFile::generate(2)?.write_new(&path)?;
+    }
+    Ok(path)
+}
+
+/// Builds an image as [`build`] does, with the keys in the file `keys` if it seals.
+///
+/// # Errors
+/// As [`build`].
+pub(crate) fn build_with(image: &Image, keys: &Path) -> Result<PathBuf> {
     let chips = root().join("chips");
     let directory = chips.join(image.chip.directory());
     let toolchain = setup::toolchain(image.chip.target())?;
@@ -117,6 +150,7 @@ pub(crate) fn build(image: &Image) -> Result<PathBuf> {
     let mut cargo = toolchain.cargo("build");
     cargo
         .current_dir(&directory)
+        .env(KEYS_VARIABLE, keys)
         .arg("--manifest-path")
         .arg(directory.join("Cargo.toml"));
     if image.rounds == Rounds::Unrolled {

@@ -13,6 +13,9 @@ use object::{
 /// register access of stm32-metapac and of volatile-register leaves no check to run time.
 const ALLOWED_PANICS: [&str; 0] = [];
 
+/// Where QEMU's board models its flash, in RAM that it has and other boards need not.
+const FLASH_MODEL: &str = ".uninit";
+
 /// What an image takes of a microcontroller, in bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Sizes {
@@ -53,13 +56,11 @@ pub(crate) fn sizes(elf: &Path) -> Result<Sizes> {
         if header.sh_type(endian) != SHT_NOBITS {
             sizes.flash += size;
         }
-        if flags.contains(SHF_WRITE) && section.name()? != ".uninit" {
+        let name = section.name()?.to_owned();
+        if flags.contains(SHF_WRITE) && name != FLASH_MODEL {
             sizes.ram_static += size;
         }
-        sizes.sections.push(Section {
-            name: section.name()?.to_owned(),
-            size,
-        });
+        sizes.sections.push(Section { name, size });
     }
     Ok(sizes)
 }

@@ -1,0 +1,172 @@
+//! The vehicle of a sealed link: UART 0 is the autopilot's, UART 1 the radio's.
+
+#![no_std]
+#![no_main]
+
+use core::time::Duration;
+
+use cortex_m_rt::entry;
+use heapless::Vec;
+use mavlink_signing::TICKS_PER_SECOND;
+use mavseal_qemu_m7::{Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, warn};
+use mavseal_relay::Direction;
+use mavseal_relay::sealed::{Counters, End, Event, Marks, Radio, Refusal};
+use mavseal_store::{Mark, Region};
+
+/// The vehicle's key, and those of the stations.
+mod keys {
+    include!(concat!(env!("OUT_DIR"), "/keys.rs"));
+}
+use keys::{OWN, PEERS};
+
+/// How many stations there are.
+const STATIONS: usize = PEERS.len();
+const _: () = assert!(STATIONS < COUNTERS, "a flash for every counter");
+
+/// How long a packet waits for others.
+const PATIENCE: Duration = Duration::from_millis(50);
+/// Silence that ends a packet: ten seconds. The serial ports of an emulator pause for as long as the machine
+/// that emulates is busy.
+const IDLE: u64 = 10 * TICKS_PER_SECOND;
+/// Time without news after which the counters are logged: 300 milliseconds.
+const QUIET: u64 = TICKS_PER_SECOND * 3 / 10;
+/// The system and component that tell of the radio: a vehicle's, and MAV_COMP_ID_TELEMETRY_RADIO.
+const RADIO: Radio = Radio::Vehicle {
+    system_id: 1,
+    component_id: 68,
+};
+/// The whole of a flash.
+const REGION: Region = Region {
+    start: 0,
+    page_size: PAGE_SIZE as u32,
+};
+
+/// The marks in the flashes, one for each counter.
+fn marks(flashes: [Flash; COUNTERS]) -> Option<Marks<Flash, STATIONS>> {
+    let [sent, accepted @ ..] = flashes;
+    let accepted = accepted.into_iter().take(STATIONS);
+    let accepted = accepted.map_while(|flash| Mark::open(flash, REGION).ok());
+    Some(Marks {
+        sent: Mark::open(sent, REGION).ok()?,
+        accepted: accepted.collect::<Vec<_, STATIONS>>().into_array().ok()?,
+    })
+}
+
+#[entry]
+fn main() -> ! {
+    let Some(board) = Board::take() else {
+        exit(1);
+    };
+    let Some(marks) = marks(board.counters) else {
+        warn!("The marks cannot be used");
+        exit(1);
+    };
+    let Ok(end) = End::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, PATIENCE) else {
+        warn!("The keys cannot be used");
+        exit(1);
+    };
+    let mut end = end.idle(IDLE);
+    let [mut plain, mut radio] = board.uarts;
+    let mut uptime = Uptime::new(board.timer);
+
+    info!(
+        "Sealed link: sender {} goes on at {}",
+        OWN.id.0,
+        end.next_counter().unwrap_or_default()
+    );
+    for (station, last) in end.peers() {
+        info!("Sender {} is heard above {}", station.0, last);
+        let _ = (station, last);
+    }
+    let mut log = Log::default();
+    loop {
+        let now = uptime.ticks();
+        let mut observe = |event| log.event(event, now);
+        let polled = end.poll(&mut plain, &mut radio, now, &mut observe);
+        if let Err(error) = &polled.plain_to_secure {
+            warn!("autopilot to radio: {}", error);
+            let _ = error;
+        }
+        if let Err(error) = &polled.secure_to_plain {
+            warn!("radio to autopilot: {}", error);
+            let _ = error;
+        }
+        if log.is_quiet(now) {
+            log.opened_of();
+            log_counters("sealed", end.sealed());
+            log_counters("opened", end.opened());
+        }
+    }
+}
+
+/// Logs refusals, and the counters when the news have gone quiet.
+#[derive(Default)]
+struct Log {
+    refused: Runs<(Direction, Refusal)>,
+    opened: [u32; STATIONS],
+    news: Option<u64>,
+}
+
+impl Log {
+    fn event(&mut self, event: Event, now: u64) {
+        self.news = Some(now);
+        match event {
+            Event::Refused(direction, refusal) => {
+                log_refused(self.refused.push((direction, refusal)));
+            }
+            Event::Opened(sender) => {
+                let mut opened = PEERS.iter().zip(&mut self.opened);
+                if let Some((_, count)) = opened.find(|(peer, _)| peer.id == sender) {
+                    *count = count.saturating_add(1);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether the news have just gone quiet.
+    fn is_quiet(&mut self, now: u64) -> bool {
+        let quiet = self
+            .news
+            .is_some_and(|last| now.saturating_sub(last) > QUIET);
+        if quiet {
+            self.news = None;
+            log_refused(self.refused.take());
+        }
+        quiet
+    }
+
+    fn opened_of(&self) {
+        for (peer, count) in PEERS.iter().zip(&self.opened) {
+            info!("opened of sender {}: {}", peer.id.0, count);
+            let _ = (peer, count);
+        }
+    }
+}
+
+fn log_refused(run: Option<((Direction, Refusal), u32)>) {
+    if let Some(((direction, refusal), times)) = run {
+        info!(
+            "{} refused: {}, {} times",
+            direction,
+            refusal.as_str(),
+            times
+        );
+        let _ = (direction, refusal, times);
+    }
+}
+
+fn log_counters(done: &str, counters: &Counters) {
+    let refused = counters
+        .refusals()
+        .fold(0_u32, |sum, (_, count)| sum.saturating_add(count));
+    info!(
+        "{}: {} packages, {} packets, refused: {}, bytes of no packet: {}",
+        done,
+        counters.packages(),
+        counters.packets(),
+        refused,
+        counters.dropped()
+    );
+    let _ = (done, refused);
+}

@@ -1,0 +1,525 @@
+//! One end of a sealed link: MAVLink in the clear on one side, a radio on the other.
+//!
+//! ```text
+//! plain side         packed, sealed, framed as air data         radio
+//! (autopilot,      ------------------------------------>   (the other ends)
+//!  ground station) <------------------------------------
+//!                   only packets out of opened packages
+//! ```
+//!
+//! * Plain side to radio: packets with a right checksum, of MAVLink 1 or 2, signed or not, whole and
+//!   unchanged. They wait for one another until a message is full or a HEARTBEAT comes, and for no longer than
+//!   the patience. A packet of more than 80 bytes fits into no message: it is refused and counted.
+//! * Radio to plain side: the packets of packages that a permitted sender sealed, each package once. All
+//!   else is refused and counted by reason. Nothing that came from the radio goes out on it again.
+//! * The end asks its radio for its status every second. The answer becomes VEHICLE_RADIO, which a vehicle
+//!   sends to its stations, or GCS_RADIO, which a station hands to its program.
+//!
+//! # Over a restart
+//!
+//! No counter is used twice, and no package is opened twice, wherever the power failed: [`Marks`].
+//!
+//! | choice | price |
+//! |---|---|
+//! | the mark of the counters to seal with is up to [`SENT_RESERVATION`] ahead | a restart uses up so many of 2^32 |
+//! | that of those accepted is up to [`ACCEPTED_RESERVATION`] ahead | after a restart, so many packages of each peer may be refused |
+//! | a mark is stored for each so many packages | flash: see `mavseal-store`, Wear |
+//! | what cannot be remembered is refused | with a worn-out flash the link ends: [`Refusal::NotStored`] |
+//!
+//! Marks belong to keys. Whoever changes a key erases its mark; nobody erases a mark and keeps the key.
+
+mod event;
+
+pub use event::{Counters, Event, Refusal};
+
+use core::fmt;
+use core::time::Duration;
+
+use embedded_io::{Read, ReadReady, Write, WriteReady};
+use embedded_storage::nor_flash::NorFlash;
+use heapless::Vec;
+use mavlink_commsec::radio::{Answer, RADIO_PACKET_SIZE, Request, Status};
+use mavlink_commsec::{
+    AesGcm, Cipher, Credential, Message, Opener, Packer, PermitError, Sealer, SenderId, field, hx,
+};
+use mavlink_signing::{Resync, TICKS_PER_SECOND};
+use mavseal_store::Mark;
+
+use crate::event::Direction;
+use crate::port::{Intake, PortError, READ_SIZE, send};
+use crate::{IDLE, Polled, Port};
+
+/// How far the mark is stored ahead of the counters that this end seals with.
+pub const SENT_RESERVATION: u64 = 256;
+/// How far a mark is stored ahead of the counters accepted of one peer.
+pub const ACCEPTED_RESERVATION: u64 = 8;
+/// How often the radio is asked for its status: every second, in ticks of 10 microseconds.
+pub const STATUS_INTERVAL: u64 = TICKS_PER_SECOND;
+
+const MICROS_PER_TICK: u64 = 1_000_000 / TICKS_PER_SECOND;
+
+/// Whose radio it is, and so which packet becomes of its status.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Radio {
+    /// A vehicle's, with this system and component: VEHICLE_RADIO to the stations, sealed.
+    Vehicle {
+        /// The vehicle.
+        system_id: u8,
+        /// The part of it that answers for the radio.
+        component_id: u8,
+    },
+    /// A ground station's: GCS_RADIO to its program, on the plain side.
+    Station,
+}
+
+/// What an end remembers over a restart: numbers above every counter that it has used or accepted.
+pub struct Marks<F, const N: usize> {
+    /// Above every counter that this end has sealed with.
+    pub sent: Mark<F>,
+    /// Above every counter that was accepted of each peer, in the order of the peers.
+    pub accepted: [Mark<F>; N],
+}
+
+/// One end of a sealed link with `N` peers. See the [module's documentation](self).
+pub struct End<F, const N: usize, C: Cipher = AesGcm> {
+    outward: Outward<F, C>,
+    inward: Inward<F, N, C>,
+    radio: Asking,
+}
+
+impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
+    /// The end that seals as `own` and opens what `peers` have sealed, from where `marks` say.
+    ///
+    /// No packet waits for others for longer than `patience`, if [`End::poll`] is called as often as it asks
+    /// for.
+    ///
+    /// # Errors
+    ///
+    /// [`PermitError`]: what is wrong with the keys.
+    pub fn new(
+        own: &Credential,
+        peers: &[Credential; N],
+        marks: Marks<F, N>,
+        radio: Radio,
+        patience: Duration,
+    ) -> Result<Self, PermitError> {
+        let Marks { sent, accepted } = marks;
+        // A mark behind the last counter is as good as the last: it seals nothing, and nothing is newer.
+        let first = counter(sent.get());
+        let last = |sender| {
+            let mut marks = peers.iter().zip(&accepted);
+            let mark = marks.find(|(peer, _)| peer.id == sender);
+            // The mark itself was never accepted.
+            mark.map_or(0, |(_, mark)| counter(mark.get().saturating_sub(1)))
+        };
+        let opener = Opener::of(peers, last)?;
+        Ok(Self {
+            outward: Outward {
+                intake: Intake::new(Resync::AnnouncedEnd),
+                idle: IDLE,
+                packer: Packer::new(patience),
+                sealer: Sealer::resume(own.prepare()?, own.id, first),
+                mark: sent,
+                line: Line::new(),
+                counters: Counters::default(),
+            },
+            inward: Inward {
+                decoder: hx::Decoder::new(),
+                opener,
+                peers: peers.each_ref().map(|peer| peer.id),
+                marks: accepted,
+                line: Line::new(),
+                counters: Counters::default(),
+            },
+            radio: Asking {
+                radio,
+                asked: None,
+                unanswered: 0,
+                sequence: 0,
+                answer: None,
+            },
+        })
+    }
+
+    /// The same end with `ticks` of silence on the plain side in place of [`IDLE`]: longer than any pause
+    /// within a packet.
+    #[must_use]
+    pub const fn idle(mut self, ticks: u64) -> Self {
+        self.outward.idle = ticks;
+        self
+    }
+
+    /// Takes one turn in each direction without waiting: sends what is left; when all of it has left,
+    /// looks at what comes next; when there is nothing, reads up to 64 bytes, those of the radio one at
+    /// a time.
+    ///
+    /// `now` is the time since any start in ticks of 10 microseconds, by a timer that never goes back.
+    /// `observe` sees what became of everything, in order. Call it again at once while
+    /// [`Polled::moved`]; otherwise when a port has become ready, and at least every [`IDLE`] and every
+    /// patience. In what it returns, the radio is the secure side.
+    pub fn poll<Plain: Port, Air: Port>(
+        &mut self,
+        plain: &mut Plain,
+        air: &mut Air,
+        now: u64,
+        observe: &mut impl FnMut(Event),
+    ) -> Polled<Plain::Error, Air::Error> {
+        let Self {
+            outward,
+            inward,
+            radio,
+        } = self;
+        Polled {
+            plain_to_secure: outward.poll(plain, air, radio, now, observe),
+            secure_to_plain: inward.poll(air, plain, radio, observe),
+        }
+    }
+
+    /// The counter of the next package to be sealed; `None` when all are used up.
+    #[must_use]
+    pub fn next_counter(&self) -> Option<u32> {
+        self.outward.sealer.next_counter()
+    }
+
+    /// Every peer, and the counter up to which everything of his is refused.
+    pub fn peers(&self) -> impl Iterator<Item = (SenderId, u32)> {
+        self.inward.opener.senders()
+    }
+
+    /// What has been sealed and refused on its way to the radio.
+    #[must_use]
+    pub const fn sealed(&self) -> &Counters {
+        &self.outward.counters
+    }
+
+    /// What has been opened and refused on its way from the radio.
+    #[must_use]
+    pub const fn opened(&self) -> &Counters {
+        &self.inward.counters
+    }
+
+    /// The flashes of the marks, for what else they hold.
+    pub fn into_flashes(self) -> (F, [F; N]) {
+        let accepted = self.inward.marks.map(Mark::into_flash);
+        (self.outward.mark.into_flash(), accepted)
+    }
+}
+
+impl<F, const N: usize, C: Cipher> fmt::Debug for End<F, N, C> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("End")
+            .field("sealed", &self.outward.counters)
+            .field("opened", &self.inward.counters)
+            .finish_non_exhaustive()
+    }
+}
+
+fn counter(mark: u64) -> u32 {
+    u32::try_from(mark).unwrap_or(u32::MAX)
+}
+
+/// Bytes that leave one after the other.
+struct Line<const SIZE: usize> {
+    bytes: Vec<u8, SIZE>,
+    sent: usize,
+}
+
+impl<const SIZE: usize> Line<SIZE> {
+    const fn new() -> Self {
+        Self {
+            bytes: Vec::new(),
+            sent: 0,
+        }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    /// Adds `bytes`, for which there is room wherever this is called.
+    fn put(&mut self, bytes: impl IntoIterator<Item = u8>) {
+        for byte in bytes {
+            let put = self.bytes.push(byte);
+            debug_assert!(put.is_ok(), "there is room");
+        }
+    }
+
+    /// Writes what is left, as far as the port takes it; whether any byte left.
+    fn send<InputError, Output: Write + WriteReady>(
+        &mut self,
+        output: &mut Output,
+    ) -> Result<bool, PortError<InputError, Output::Error>> {
+        let moved = send(output, &self.bytes, &mut self.sent)?;
+        if self.sent >= self.bytes.len() {
+            self.bytes.clear();
+            self.sent = 0;
+        }
+        Ok(moved)
+    }
+}
+
+/// From the plain side to the radio.
+struct Outward<F, C: Cipher> {
+    intake: Intake,
+    /// Ticks of silence that end a packet.
+    idle: u64,
+    packer: Packer,
+    sealer: Sealer<C>,
+    mark: Mark<F>,
+    line: Line<{ hx::MAX_ENCODED_SIZE }>,
+    counters: Counters,
+}
+
+impl<F: NorFlash, C: Cipher> Outward<F, C> {
+    /// One turn; whether there is more to do at once.
+    fn poll<Input: Read + ReadReady, Output: Write + WriteReady>(
+        &mut self,
+        input: &mut Input,
+        output: &mut Output,
+        radio: &mut Asking,
+        now: u64,
+        observe: &mut impl FnMut(Event),
+    ) -> Result<bool, PortError<Input::Error, Output::Error>> {
+        let sent = self.line.send(output)?;
+        if sent || !self.line.is_empty() {
+            self.intake.not_read(now);
+        }
+        // The frame being sent is the bound on memory: no next one before it has left.
+        if !self.line.is_empty() {
+            return Ok(sent);
+        }
+        let since = Duration::from_micros(now.saturating_mul(MICROS_PER_TICK));
+        if let Some(message) = self.packer.poll(since) {
+            self.seal(&message, observe);
+            return Ok(true);
+        }
+        if let Some(request) = radio.ask(now) {
+            if let Ok(frame) = hx::Frame::new(hx::Tag::Radio, &request.to_wire()) {
+                self.line.put(frame.encode());
+            }
+            return Ok(true);
+        }
+        let told = radio.vehicle();
+        let packed = match &told {
+            Some(packet) => Ok(&packet[..]),
+            None => match self.intake.read() {
+                Some(Ok(packet)) => Ok(packet.as_bytes()),
+                Some(Err(error)) => Err(error.into()),
+                None => {
+                    let received = self.intake.receive(input, self.idle, now)?;
+                    self.counters.set_dropped(self.intake.dropped());
+                    return Ok(sent || received);
+                }
+            },
+        };
+        let packed = packed.and_then(|packet| Ok(self.packer.push(packet, since)?));
+        match packed {
+            Ok(full) => {
+                self.counters.count_packet();
+                observe(Event::Packed);
+                if let Some(message) = full {
+                    self.seal(&message, observe);
+                }
+            }
+            Err(refusal) => self.refuse(refusal, observe),
+        }
+        Ok(true)
+    }
+
+    fn seal(&mut self, message: &Message, observe: &mut impl FnMut(Event)) {
+        match self.try_seal(message) {
+            Ok(counter) => {
+                self.counters.count_package();
+                observe(Event::Sealed(counter));
+            }
+            Err(refusal) => self.refuse(refusal, observe),
+        }
+    }
+
+    /// Puts the package on the line; gives its counter.
+    fn try_seal(&mut self, message: &Message) -> Result<u32, Refusal> {
+        let counter = self.sealer.next_counter();
+        let counter = counter.ok_or(Refusal::CounterExhausted)?;
+        self.mark.reserve(counter.into(), SENT_RESERVATION)?;
+        let package = self.sealer.seal(message)?;
+        self.line.put(hx::Frame::from(&package).encode());
+        Ok(counter)
+    }
+
+    fn refuse(&mut self, refusal: Refusal, observe: &mut impl FnMut(Event)) {
+        self.counters.count_refused(refusal);
+        observe(Event::Refused(Direction::PlainToSecure, refusal));
+    }
+}
+
+/// From the radio to the plain side.
+struct Inward<F, const N: usize, C: Cipher> {
+    decoder: hx::Decoder,
+    opener: Opener<N, C>,
+    peers: [SenderId; N],
+    marks: [Mark<F>; N],
+    line: Line<{ field::MESSAGE_SIZE }>,
+    counters: Counters,
+}
+
+impl<F: NorFlash, const N: usize, C: Cipher> Inward<F, N, C> {
+    /// One turn; whether there is more to do at once.
+    fn poll<Input: Read + ReadReady, Output: Write + WriteReady>(
+        &mut self,
+        input: &mut Input,
+        output: &mut Output,
+        radio: &mut Asking,
+        observe: &mut impl FnMut(Event),
+    ) -> Result<bool, PortError<Input::Error, Output::Error>> {
+        let mut moved = self.line.send(output)?;
+        if !self.line.is_empty() {
+            return Ok(moved);
+        }
+        if let Some(packet) = radio.station() {
+            self.line.put(packet);
+            return Ok(true);
+        }
+        // One at a time: what is behind a package stays in the port until its packets have left.
+        for _ in 0..READ_SIZE {
+            if !input.read_ready().map_err(PortError::Input)? {
+                break;
+            }
+            let mut byte = [0];
+            if input.read(&mut byte).map_err(PortError::Input)? == 0 {
+                return Err(PortError::InputClosed);
+            }
+            moved = true;
+            let [byte] = byte;
+            if self.push(byte, radio, observe) {
+                break;
+            }
+        }
+        Ok(moved)
+    }
+
+    /// Takes the next byte; whether it ended a frame.
+    fn push(&mut self, byte: u8, radio: &mut Asking, observe: &mut impl FnMut(Event)) -> bool {
+        let Self {
+            decoder,
+            opener,
+            peers,
+            marks,
+            line,
+            counters,
+        } = self;
+        let mut refuse = |refusal| {
+            counters.count_refused(refusal);
+            observe(Event::Refused(Direction::SecureToPlain, refusal));
+        };
+        let frame = match decoder.push(byte) {
+            None => return false,
+            Some(Ok(frame)) => frame,
+            Some(Err(error)) => {
+                refuse(error.into());
+                return true;
+            }
+        };
+        if frame.tag() == hx::Tag::Radio {
+            match radio.take(frame.payload()) {
+                Ok(status) => observe(Event::Radio(status)),
+                Err(refusal) => refuse(refusal),
+            }
+            return true;
+        }
+        let opened = opener.open(frame.payload()).map_err(Refusal::from);
+        let opened = opened.and_then(|opened| {
+            let mut marks = peers.iter().zip(marks);
+            let mark = marks.find(|(peer, _)| **peer == opened.sender());
+            let (_, mark) = mark.ok_or(Refusal::UnknownSender)?;
+            mark.reserve(opened.counter().into(), ACCEPTED_RESERVATION)?;
+            Ok(opened)
+        });
+        let opened = match opened {
+            Ok(opened) => opened,
+            Err(refusal) => {
+                refuse(refusal);
+                return true;
+            }
+        };
+        counters.count_package();
+        observe(Event::Opened(opened.sender()));
+        for packet in opened.packets() {
+            match packet {
+                Ok(packet) => {
+                    counters.count_packet();
+                    line.put(packet.iter().copied());
+                }
+                Err(error) => {
+                    let refusal = error.into();
+                    counters.count_refused(refusal);
+                    observe(Event::Refused(Direction::SecureToPlain, refusal));
+                }
+            }
+        }
+        true
+    }
+}
+
+/// What is asked of the radio, and what becomes of the answer.
+struct Asking {
+    radio: Radio,
+    /// When it was last asked, in ticks.
+    asked: Option<u64>,
+    /// Questions that it has not answered.
+    unanswered: u8,
+    /// Of the packets that are made from answers.
+    sequence: u8,
+    /// What is to be handed on.
+    answer: Option<Status>,
+}
+
+impl Asking {
+    /// The question, when it is time for it.
+    fn ask(&mut self, now: u64) -> Option<Request> {
+        let early = |asked| now.saturating_sub(asked) < STATUS_INTERVAL;
+        if self.asked.is_some_and(early) {
+            return None;
+        }
+        self.asked = Some(now);
+        self.unanswered = self.unanswered.saturating_add(1);
+        Some(Request::Status)
+    }
+
+    /// Takes what the radio says: an answer for each question, so that a radio cannot fill the air with
+    /// them.
+    fn take(&mut self, bytes: &[u8]) -> Result<Status, Refusal> {
+        let answer = Answer::from_wire(bytes)?;
+        self.unanswered = self.unanswered.checked_sub(1).ok_or(Refusal::NotAsked)?;
+        self.answer = Some(*answer.status());
+        Ok(*answer.status())
+    }
+
+    /// What a vehicle has to tell of its radio.
+    fn vehicle(&mut self) -> Option<[u8; RADIO_PACKET_SIZE]> {
+        let Radio::Vehicle {
+            system_id,
+            component_id,
+        } = self.radio
+        else {
+            return None;
+        };
+        let status = self.answer.take()?;
+        Some(status.vehicle_radio(self.next(), system_id, component_id))
+    }
+
+    /// What a station has to tell of its radio.
+    fn station(&mut self) -> Option<[u8; RADIO_PACKET_SIZE]> {
+        if self.radio != Radio::Station {
+            return None;
+        }
+        let status = self.answer.take()?;
+        Some(status.gcs_radio(self.next()))
+    }
+
+    fn next(&mut self) -> u8 {
+        let sequence = self.sequence;
+        self.sequence = sequence.wrapping_add(1);
+        sequence
+    }
+}

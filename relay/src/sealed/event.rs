@@ -1,0 +1,282 @@
+//! What became of packets, packages and frames at one end of a sealed link, and how often.
+
+use core::fmt;
+
+use mavlink_commsec::radio::Status;
+use mavlink_commsec::{
+    DecodeError as FrameDecodeError, OpenError, PackError, RadioError, SealError, SenderId,
+    UnpackError,
+};
+use mavlink_signing::{DecodeError, ParseError};
+use mavseal_store::ReserveError;
+
+use crate::event::Direction;
+
+/// Why something was not passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+#[repr(u8)]
+pub enum Refusal {
+    /// A packet with unknown incompatibility flags.
+    UnknownIncompatFlags,
+    /// A packet with a message that the dialect does not define.
+    UnknownMessage,
+    /// A packet that was damaged on its way here.
+    BadChecksum,
+    /// A packet with more bytes than fit into a message.
+    TooLong,
+    /// A message to be sealed, but all counters of the key are used up.
+    CounterExhausted,
+    /// A message to be sealed, and the cipher failed.
+    CipherFailed,
+    /// A message to be sealed or just opened, but no mark above its counter can be stored.
+    NotStored,
+    /// A frame without content.
+    EmptyFrame,
+    /// A frame with more content than there may be.
+    LongFrame,
+    /// A frame that ends in an escape.
+    CutEscape,
+    /// A frame with an unknown tag.
+    UnknownTag,
+    /// Air data that is no package.
+    WrongLength,
+    /// A package that claims to be from somebody who is not permitted.
+    UnknownSender,
+    /// A package that is not newer than the last of its sender, or from before a restart.
+    Stale,
+    /// A package of a sender for whose key too many packages with a wrong tag have come.
+    KeyWornOut,
+    /// A package sealed with another key, damaged, or forged.
+    BadTag,
+    /// What is left of an opened message, which is no packet.
+    NoPacket,
+    /// Radio data that is no status.
+    NoStatus,
+    /// A status that was not asked for.
+    NotAsked,
+    /// An error that this version does not know.
+    Other,
+}
+
+impl Refusal {
+    /// Every reason, in the order of [`Refusal`]'s definition.
+    pub const ALL: [Self; 20] = [
+        Self::UnknownIncompatFlags,
+        Self::UnknownMessage,
+        Self::BadChecksum,
+        Self::TooLong,
+        Self::CounterExhausted,
+        Self::CipherFailed,
+        Self::NotStored,
+        Self::EmptyFrame,
+        Self::LongFrame,
+        Self::CutEscape,
+        Self::UnknownTag,
+        Self::WrongLength,
+        Self::UnknownSender,
+        Self::Stale,
+        Self::KeyWornOut,
+        Self::BadTag,
+        Self::NoPacket,
+        Self::NoStatus,
+        Self::NotAsked,
+        Self::Other,
+    ];
+
+    /// The reason in a few words, as in tables.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::UnknownIncompatFlags => "unknown flags",
+            Self::UnknownMessage => "unknown message",
+            Self::BadChecksum => "bad checksum",
+            Self::TooLong => "longer than a message",
+            Self::CounterExhausted => "counter exhausted",
+            Self::CipherFailed => "cipher failed",
+            Self::NotStored => "not stored",
+            Self::EmptyFrame => "empty frame",
+            Self::LongFrame => "frame too long",
+            Self::CutEscape => "cut escape",
+            Self::UnknownTag => "unknown tag",
+            Self::WrongLength => "wrong length",
+            Self::UnknownSender => "unknown sender",
+            Self::Stale => "stale",
+            Self::KeyWornOut => "key worn out",
+            Self::BadTag => "bad tag",
+            Self::NoPacket => "no packet",
+            Self::NoStatus => "no status",
+            Self::NotAsked => "not asked",
+            Self::Other => "other",
+        }
+    }
+}
+
+// The counters have a place for each reason, at its discriminant.
+const _: () = {
+    let mut rest: &[Refusal] = &Refusal::ALL;
+    let mut expected = 0;
+    while let [reason, others @ ..] = rest {
+        assert!(*reason as usize == expected);
+        expected += 1;
+        rest = others;
+    }
+    assert!(Refusal::Other as usize + 1 == expected);
+};
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+impl From<DecodeError> for Refusal {
+    fn from(error: DecodeError) -> Self {
+        match error {
+            DecodeError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
+            DecodeError::UnknownMessage(_) => Self::UnknownMessage,
+            DecodeError::BadChecksum(_) => Self::BadChecksum,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<PackError> for Refusal {
+    fn from(error: PackError) -> Self {
+        match error {
+            PackError::TooLong(_) => Self::TooLong,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<SealError> for Refusal {
+    fn from(error: SealError) -> Self {
+        match error {
+            SealError::CounterExhausted => Self::CounterExhausted,
+            SealError::Cipher => Self::CipherFailed,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<ReserveError> for Refusal {
+    fn from(_: ReserveError) -> Self {
+        Self::NotStored
+    }
+}
+
+impl From<FrameDecodeError> for Refusal {
+    fn from(error: FrameDecodeError) -> Self {
+        match error {
+            FrameDecodeError::Empty => Self::EmptyFrame,
+            FrameDecodeError::TooLong => Self::LongFrame,
+            FrameDecodeError::CutEscape => Self::CutEscape,
+            FrameDecodeError::UnknownTag(_) => Self::UnknownTag,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<OpenError> for Refusal {
+    fn from(error: OpenError) -> Self {
+        match error {
+            OpenError::WrongLength(_) => Self::WrongLength,
+            OpenError::UnknownSender(_) => Self::UnknownSender,
+            OpenError::Stale { .. } => Self::Stale,
+            OpenError::KeyWornOut => Self::KeyWornOut,
+            OpenError::BadTag => Self::BadTag,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl From<UnpackError> for Refusal {
+    fn from(_: UnpackError) -> Self {
+        Self::NoPacket
+    }
+}
+
+impl From<RadioError> for Refusal {
+    fn from(_: RadioError) -> Self {
+        Self::NoStatus
+    }
+}
+
+/// What became of something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Event {
+    /// A packet of the plain side waits to be sealed, with others or alone.
+    Packed,
+    /// A package goes out, under this counter.
+    Sealed(u32),
+    /// A package was opened, and its packets go on to the plain side.
+    Opened(SenderId),
+    /// The radio has answered.
+    Radio(Status),
+    /// Something goes no further.
+    Refused(Direction, Refusal),
+}
+
+/// How often each thing happened in one direction. Every count stays at the top of its range.
+///
+/// Anybody who can send can raise the counts of refusals: show them, do not act on them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    packages: u32,
+    packets: u32,
+    refused: [u32; Refusal::ALL.len()],
+    dropped: u32,
+}
+
+impl Counters {
+    /// Packages that were sealed, or opened.
+    #[must_use]
+    pub const fn packages(&self) -> u32 {
+        self.packages
+    }
+
+    /// Packets that were packed, or handed on to the plain side.
+    #[must_use]
+    pub const fn packets(&self) -> u32 {
+        self.packets
+    }
+
+    /// Bytes of the plain side that belonged to no packet: noise, and packets that were damaged, cut short
+    /// or unknown. Always 0 from the radio, where what is between frames is not counted.
+    #[must_use]
+    pub const fn dropped(&self) -> u32 {
+        self.dropped
+    }
+
+    /// What was refused for `reason`.
+    #[must_use]
+    pub fn refused(&self, reason: Refusal) -> u32 {
+        self.refused.get(reason as usize).copied().unwrap_or(0)
+    }
+
+    /// Every reason and how often it was given.
+    pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
+        Refusal::ALL.into_iter().zip(self.refused)
+    }
+
+    pub(crate) const fn count_package(&mut self) {
+        self.packages = self.packages.saturating_add(1);
+    }
+
+    pub(crate) const fn count_packet(&mut self) {
+        self.packets = self.packets.saturating_add(1);
+    }
+
+    pub(crate) const fn set_dropped(&mut self, dropped: u32) {
+        self.dropped = dropped;
+    }
+
+    pub(crate) fn count_refused(&mut self, reason: Refusal) {
+        if let Some(count) = self.refused.get_mut(reason as usize) {
+            *count = count.saturating_add(1);
+        }
+    }
+}

@@ -1,0 +1,627 @@
+//! Both ends of a sealed link on the host, over ports in memory and flash that forgets nothing.
+
+mod ports;
+
+use std::time::Duration;
+
+use embedded_storage::nor_flash::NorFlash;
+use mavlink_commsec::radio::{Request, Status};
+use mavlink_commsec::{Credential, Key, Opener, PermitError, Sealer, SenderId, hx, packets};
+use mavlink_signing::crc::checksum;
+use mavseal_relay::sealed::{
+    ACCEPTED_RESERVATION, Counters, End, Event, Marks, Radio, Refusal, SENT_RESERVATION,
+    STATUS_INTERVAL,
+};
+use mavseal_relay::{Direction, PortError};
+use mavseal_store::{
+    Mark, Region,
+    model::{Flash, PAGE_SIZE},
+};
+use ports::{Broken, Line};
+
+const REGION: Region = Region {
+    start: 0,
+    page_size: PAGE_SIZE as u32,
+};
+const PATIENCE: Duration = Duration::from_millis(50);
+/// The same in ticks.
+const PATIENT: u64 = 5000;
+const VEHICLE: Credential = credential(7, 1);
+const STATION: Credential = credential(5, 2);
+const OTHER: Credential = credential(6, 3);
+const HEARTBEAT: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
+const STATUS: Status = Status {
+    rssi: 1,
+    noise: 2,
+    received: 3,
+    remote_rssi: 4,
+    remote_noise: 5,
+    remote_received: 6,
+    tx_errors: 7,
+    rx_errors: 8,
+    serial_tx_overflow: 9,
+    serial_rx_overflow: 10,
+    ecc_errors: 11,
+    ecc_packets: 12,
+    serial_tx_ok: 13,
+    serial_rx_ok: 14,
+};
+
+const fn credential(id: u32, byte: u8) -> Credential {
+    Credential {
+        id: SenderId(id),
+        key: [byte; 16],
+        salt: 0x0102_0304 * byte as u32,
+    }
+}
+
+/// A packet of MAVLink 2 with so many bytes: TUNNEL, of which any length is right that ends not in zero.
+fn packet(bytes: usize) -> Vec<u8> {
+    let length = bytes - 12;
+    let mut packet = vec![0xFD, length as u8, 0, 0, 3, 1, 1, 0x81, 0x01, 0];
+    packet.extend(vec![0x55; length]);
+    let sum = checksum(&packet[1..], 147);
+    packet.extend(sum.to_le_bytes());
+    packet
+}
+
+/// An end of a link, its ports and its clock.
+struct Bench<F, const N: usize> {
+    end: End<F, N>,
+    plain: Line,
+    air: Line,
+    now: u64,
+    events: Vec<Event>,
+}
+
+type Vehicle = Bench<Flash<2>, 2>;
+
+fn marks<F: NorFlash, const N: usize>(sent: F, accepted: [F; N]) -> Marks<F, N> {
+    let open = |flash| Mark::open(flash, REGION).expect("a region");
+    Marks {
+        sent: open(sent),
+        accepted: accepted.map(open),
+    }
+}
+
+impl<F: NorFlash, const N: usize> Bench<F, N> {
+    fn new(own: &Credential, peers: &[Credential; N], sent: F, accepted: [F; N]) -> Self {
+        let radio = Radio::Vehicle {
+            system_id: 1,
+            component_id: 68,
+        };
+        let end = End::new(own, peers, marks(sent, accepted), radio, PATIENCE);
+        Self::of(end.expect("keys"))
+    }
+
+    fn of(end: End<F, N>) -> Self {
+        let mut bench = Self {
+            end,
+            plain: Line::new(),
+            air: Line::new(),
+            now: 0,
+            events: Vec::new(),
+        };
+        // It begins with a question to its radio.
+        bench.run();
+        assert_eq!(
+            frames(&bench.air.output),
+            [(hx::Tag::Radio, b"B\r".to_vec())]
+        );
+        bench.air.output.clear();
+        bench
+    }
+
+    fn run(&mut self) {
+        let mut turns = 0..100_000;
+        while self.poll().moved() {
+            assert!(turns.next().is_some(), "the end does not come to rest");
+        }
+    }
+
+    fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
+        let Self {
+            end,
+            plain,
+            air,
+            now,
+            events,
+        } = self;
+        end.poll(plain, air, *now, &mut |event| events.push(event))
+    }
+
+    fn plain_in(&mut self, bytes: &[u8]) {
+        self.plain.input.extend(bytes);
+        self.run();
+    }
+
+    fn air_in(&mut self, tag: hx::Tag, payload: &[u8]) {
+        let frame = hx::Frame::new(tag, payload).expect("a frame");
+        self.air.input.extend(frame.encode());
+        self.run();
+    }
+
+    /// The packages that have left since this was last asked.
+    fn packages(&mut self) -> Vec<Vec<u8>> {
+        let frames = frames(&std::mem::take(&mut self.air.output));
+        let air = frames
+            .into_iter()
+            .filter(|(tag, _)| *tag == hx::Tag::AirData);
+        air.map(|(_, payload)| payload).collect()
+    }
+
+    /// The package that a packet becomes.
+    fn seal(&mut self, packet: &[u8]) -> Vec<u8> {
+        self.plain_in(packet);
+        self.now += PATIENT;
+        self.run();
+        let mut packages = self.packages();
+        assert_eq!(packages.len(), 1);
+        packages.remove(0)
+    }
+}
+
+fn vehicle() -> Vehicle {
+    let flashes = [Flash::default(), Flash::default()];
+    Bench::new(&VEHICLE, &[STATION, OTHER], Flash::default(), flashes)
+}
+
+fn station() -> Bench<Flash<2>, 1> {
+    let marks = marks(Flash::default(), [Flash::default()]);
+    let end = End::new(&STATION, &[VEHICLE], marks, Radio::Station, PATIENCE);
+    Bench::of(end.expect("keys"))
+}
+
+/// A station that only seals, with any counter.
+fn sealer(of: &Credential, first: u32) -> Sealer {
+    Sealer::resume(of.prepare().expect("a key"), of.id, first)
+}
+
+fn seal(sealer: &mut Sealer, packet: &[u8]) -> Vec<u8> {
+    let mut message = [0; 80];
+    message[..packet.len()].copy_from_slice(packet);
+    sealer.seal(&message).expect("counters").as_bytes().to_vec()
+}
+
+fn frames(bytes: &[u8]) -> Vec<(hx::Tag, Vec<u8>)> {
+    let mut decoder = hx::Decoder::new();
+    let mut frames = Vec::new();
+    for byte in bytes {
+        if let Some(frame) = decoder.push(*byte) {
+            let frame = frame.expect("whole frames");
+            frames.push((frame.tag(), frame.payload().to_vec()));
+        }
+    }
+    frames
+}
+
+fn counter(package: &[u8]) -> u32 {
+    u32::from_be_bytes(package[4..8].try_into().expect("4 bytes"))
+}
+
+/// Every reason that has been counted, and how often.
+fn refusals(counters: &Counters) -> Vec<(Refusal, u32)> {
+    for (reason, count) in counters.refusals() {
+        assert_eq!(counters.refused(reason), count);
+    }
+    let counted = counters.refusals().filter(|(_, count)| *count > 0);
+    counted.collect()
+}
+
+#[test]
+fn packets_arrive_whole_and_in_order_both_ways() {
+    let (mut vehicle, mut station) = (vehicle(), station());
+    let sent = [
+        packet(12),
+        packet(80),
+        HEARTBEAT.to_vec(),
+        packet(40),
+        packet(41),
+    ];
+    vehicle.plain_in(&sent.concat());
+    vehicle.now += PATIENT;
+    vehicle.run();
+    let packages = vehicle.packages();
+    // 12 and 80 do not fit together, nor 80 and 17; 17 leaves at once; 40 and 41 do not fit together.
+    assert_eq!(packages.len(), 5);
+    for package in &packages {
+        assert_eq!(package.len(), 96);
+        station.air_in(hx::Tag::AirData, package);
+    }
+    assert_eq!(station.plain.output, sent.concat());
+    assert_eq!(
+        (
+            vehicle.end.sealed().packages(),
+            vehicle.end.sealed().packets()
+        ),
+        (5, 5)
+    );
+    assert_eq!(
+        (
+            station.end.opened().packages(),
+            station.end.opened().packets()
+        ),
+        (5, 5)
+    );
+    assert_eq!(
+        vehicle
+            .events
+            .iter()
+            .filter(|event| **event == Event::Packed)
+            .count(),
+        5
+    );
+    assert_eq!(station.events, [Event::Opened(SenderId(7)); 5]);
+
+    let package = station.seal(&packet(30));
+    vehicle.air_in(hx::Tag::AirData, &package);
+    assert_eq!(vehicle.plain.output, packet(30));
+    assert_eq!(vehicle.events.last(), Some(&Event::Opened(SenderId(5))));
+    assert!(refusals(vehicle.end.opened()).is_empty());
+    assert_eq!(
+        format!("{:?}", vehicle.end),
+        "End { sealed: Counters { packages: 5, packets: 5, refused: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], dropped: 0 }, \
+         opened: Counters { packages: 1, packets: 1, refused: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0], dropped: 0 }, .. }"
+    );
+}
+
+#[test]
+fn a_packet_waits_for_others_but_not_for_long() {
+    let mut vehicle = vehicle();
+    vehicle.plain_in(&packet(20));
+    vehicle.now += PATIENT - 1;
+    vehicle.plain_in(&packet(21));
+    assert!(vehicle.packages().is_empty());
+    vehicle.now += 1;
+    vehicle.run();
+    let packages = vehicle.packages();
+    assert_eq!(packages.len(), 1);
+    let mut opener = Opener::<1>::new();
+    let key: Key = VEHICLE.prepare().expect("a key");
+    opener.permit(key, &[SenderId(7)]).expect("room");
+    let opened = opener.open(&packages[0]).expect("a package");
+    let held: Vec<_> = packets(opened.message()).collect();
+    assert_eq!(held, [Ok(&packet(20)[..]), Ok(&packet(21)[..])]);
+}
+
+#[test]
+fn what_cannot_be_sealed_is_refused_and_counted() {
+    let mut vehicle = vehicle();
+    let mut damaged = packet(30);
+    damaged[20] ^= 1;
+    let mut unknown = packet(30);
+    unknown[7..10].fill(0xF0);
+    let mut flags = packet(30);
+    flags[2] = 0x40;
+    let all = [packet(81), packet(267), damaged, unknown, flags];
+    vehicle.plain_in(&all.concat());
+    vehicle.now += PATIENT;
+    vehicle.run();
+    assert!(vehicle.packages().is_empty());
+    assert_eq!(
+        refusals(vehicle.end.sealed()),
+        [
+            (Refusal::UnknownIncompatFlags, 1),
+            (Refusal::UnknownMessage, 1),
+            (Refusal::BadChecksum, 1),
+            (Refusal::TooLong, 2),
+        ]
+    );
+    let too_long = Event::Refused(Direction::PlainToSecure, Refusal::TooLong);
+    assert_eq!(vehicle.events[..2], [too_long; 2]);
+    // A packet that begins and does not go on holds nothing up.
+    vehicle.plain_in(&packet(60)[..30]);
+    vehicle.now += mavseal_relay::IDLE + 1;
+    vehicle.run();
+    assert_eq!(vehicle.seal(&packet(61)).len(), 96);
+    // The three that are none, the half one.
+    assert_eq!(vehicle.end.sealed().dropped(), 3 * 30 + 30);
+    // Unless there may be longer pauses on the line.
+    vehicle.end = vehicle.end.idle(2 * mavseal_relay::IDLE);
+    vehicle.plain_in(&packet(60)[..30]);
+    vehicle.now += mavseal_relay::IDLE + 1;
+    vehicle.run();
+    assert_eq!(vehicle.seal(&packet(60)[30..]).len(), 96);
+}
+
+#[test]
+fn each_package_is_opened_once_and_what_is_none_never() {
+    let mut vehicle = vehicle();
+    let mut from_station = sealer(&STATION, 1);
+    let package = seal(&mut from_station, &packet(20));
+    let newer = seal(&mut from_station, &packet(21));
+    for package in [&newer, &newer, &package] {
+        vehicle.air_in(hx::Tag::AirData, package);
+    }
+    assert_eq!(vehicle.plain.output, packet(21));
+    let mut forged = seal(&mut from_station, &packet(22));
+    forged[50] ^= 1;
+    vehicle.air_in(hx::Tag::AirData, &forged);
+    let unknown = seal(&mut sealer(&credential(9, 2), 1), &packet(22));
+    vehicle.air_in(hx::Tag::AirData, &unknown);
+    let own = vehicle.seal(&packet(20));
+    vehicle.air_in(hx::Tag::AirData, &own);
+    vehicle.air_in(hx::Tag::AirData, &newer[..95]);
+    let no_packets = seal(&mut from_station, &[1, 2, 3]);
+    vehicle.air_in(hx::Tag::AirData, &no_packets);
+    let after = [packet(20), vec![0xFD, 200]].concat();
+    let half = seal(&mut from_station, &after);
+    vehicle.air_in(hx::Tag::AirData, &half);
+    assert_eq!(vehicle.plain.output, [packet(21), packet(20)].concat());
+    assert_eq!(
+        refusals(vehicle.end.opened()),
+        [
+            (Refusal::WrongLength, 1),
+            (Refusal::UnknownSender, 2),
+            (Refusal::Stale, 2),
+            (Refusal::BadTag, 1),
+            (Refusal::NoPacket, 2),
+        ]
+    );
+    // Nothing of it stands in the way of the other station.
+    let package = seal(&mut sealer(&OTHER, 1), &packet(23));
+    vehicle.air_in(hx::Tag::AirData, &package);
+    assert!(vehicle.plain.output.ends_with(&packet(23)));
+}
+
+#[test]
+fn what_is_no_frame_is_refused_and_the_next_frame_found() {
+    let mut vehicle = vehicle();
+    let package = seal(&mut sealer(&STATION, 1), &packet(20));
+    let good: Vec<u8> = hx::Frame::new(hx::Tag::AirData, &package)
+        .expect("a frame")
+        .encode()
+        .collect();
+    let mut long = vec![0x7E, 0];
+    long.extend([1; 101]);
+    let bad: [&[u8]; 4] = [
+        &[0x7E, 0, 0x7E],
+        &[0x7E, 9, 1],
+        &[0x7E, 0, 1, 0x7C, 0x7E],
+        &long,
+    ];
+    for bytes in bad {
+        vehicle.air.input.extend(bytes);
+    }
+    vehicle.air.input.extend(good);
+    vehicle.run();
+    assert_eq!(vehicle.plain.output, packet(20));
+    assert_eq!(
+        refusals(vehicle.end.opened()),
+        [
+            (Refusal::EmptyFrame, 1),
+            (Refusal::LongFrame, 1),
+            (Refusal::CutEscape, 1),
+            (Refusal::UnknownTag, 1),
+        ]
+    );
+}
+
+#[test]
+fn the_radio_is_asked_every_second_and_its_status_told() {
+    let (mut vehicle, mut station) = (vehicle(), station());
+    vehicle.air_in(hx::Tag::Radio, &STATUS.to_wire());
+    vehicle.now += PATIENT;
+    vehicle.run();
+    let packages = vehicle.packages();
+    assert_eq!(packages.len(), 1);
+    station.air_in(hx::Tag::AirData, &packages[0]);
+    assert_eq!(station.plain.output, STATUS.vehicle_radio(0, 1, 68));
+    station.plain.output.clear();
+    station.air_in(hx::Tag::Radio, &STATUS.to_wire_with(&Default::default()));
+    assert_eq!(station.plain.output, STATUS.gcs_radio(0));
+    assert_eq!(station.events.last(), Some(&Event::Radio(STATUS)));
+
+    // One answer for each question.
+    vehicle.air_in(hx::Tag::Radio, &STATUS.to_wire());
+    vehicle.air_in(hx::Tag::Radio, b"OK");
+    assert_eq!(
+        refusals(vehicle.end.opened()),
+        [(Refusal::NoStatus, 1), (Refusal::NotAsked, 1)]
+    );
+    let asked = |bench: &mut Vehicle, now| {
+        bench.now = now;
+        bench.run();
+        frames(&std::mem::take(&mut bench.air.output))
+            == [(hx::Tag::Radio, Request::Status.to_wire().to_vec())]
+    };
+    assert!(!asked(&mut vehicle, STATUS_INTERVAL - 1));
+    assert!(asked(&mut vehicle, STATUS_INTERVAL));
+    assert!(asked(&mut vehicle, 2 * STATUS_INTERVAL));
+    // Two answers late are two answers; the next has another sequence number.
+    for _ in 0..2 {
+        vehicle.air_in(hx::Tag::Radio, &STATUS.to_wire());
+    }
+    assert_eq!(vehicle.end.opened().refused(Refusal::NotAsked), 1);
+    vehicle.now += PATIENT;
+    vehicle.run();
+    station.plain.output.clear();
+    for package in vehicle.packages() {
+        station.air_in(hx::Tag::AirData, &package);
+    }
+    let told = [
+        STATUS.vehicle_radio(1, 1, 68),
+        STATUS.vehicle_radio(2, 1, 68),
+    ];
+    assert_eq!(station.plain.output, told.concat());
+}
+
+#[test]
+fn slow_ports_lose_nothing() {
+    let (mut vehicle, mut station) = (vehicle(), station());
+    vehicle.air.room = 0;
+    let sent: Vec<Vec<u8>> = (20..60).map(packet).collect();
+    vehicle.plain_in(&sent.concat());
+    assert!(
+        !vehicle.plain.input.is_empty(),
+        "it holds one message and one frame, no more"
+    );
+    while !vehicle.plain.input.is_empty() || vehicle.end.sealed().packets() < 40 {
+        vehicle.air.room = 7;
+        vehicle.now += mavseal_relay::IDLE;
+        vehicle.run();
+    }
+    vehicle.air.room = usize::MAX;
+    vehicle.now += PATIENT;
+    vehicle.run();
+    station.air.input.extend(vehicle.air.output.drain(..));
+    while !station.air.input.is_empty() || station.end.opened().packets() < 40 {
+        station.plain.room = 3;
+        station.run();
+    }
+    station.plain.room = usize::MAX;
+    station.run();
+    assert_eq!(station.plain.output, sent.concat());
+    assert!(
+        refusals(station.end.opened())
+            .iter()
+            .all(|(reason, _)| *reason == Refusal::NoStatus)
+    );
+}
+
+#[test]
+fn a_port_that_fails_is_told_and_does_not_stop_the_other_direction() {
+    let mut vehicle = vehicle();
+    vehicle.plain.broken = true;
+    let package = seal(&mut sealer(&STATION, 1), &packet(20));
+    vehicle.air_in(hx::Tag::AirData, &package);
+    let polled = vehicle.poll();
+    assert_eq!(polled.plain_to_secure, Err(PortError::Input(Broken)));
+    assert_eq!(vehicle.plain.output, packet(20));
+    vehicle.plain.broken = false;
+    vehicle.air.ended = true;
+    assert_eq!(vehicle.poll().secure_to_plain, Err(PortError::InputClosed));
+}
+
+/// Runs a vehicle with these flashes: counters it seals with, counters it accepts of the station that goes
+/// on from `first`, and the flashes again.
+fn life(flashes: [Flash<2>; 3], first: u32, packages: u32) -> (Vec<u32>, Vec<u32>, [Flash<2>; 3]) {
+    let [sent, a, b] = flashes;
+    let mut vehicle: Vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], sent, [a, b]);
+    let mut from_station = sealer(&STATION, first);
+    let (mut used, mut accepted) = (Vec::new(), Vec::new());
+    for at in 0..packages {
+        vehicle.plain_in(&HEARTBEAT);
+        used.extend(vehicle.packages().iter().map(|package| counter(package)));
+        let package = seal(&mut from_station, &packet(20));
+        let before = vehicle.end.opened().packages();
+        vehicle.air_in(hx::Tag::AirData, &package);
+        if vehicle.end.opened().packages() > before {
+            accepted.push(first + at);
+        }
+    }
+    let opened = vehicle.plain.output.len() / 20;
+    assert_eq!(opened, accepted.len());
+    let (sent, [a, b]) = vehicle.end.into_flashes();
+    (used, accepted, [sent, a, b])
+}
+
+#[test]
+fn no_counter_is_used_or_accepted_twice_whenever_the_power_fails() {
+    for cut in 0..60 {
+        for at in 0..2 {
+            let mut flashes = [Flash::new(cut.into()), Flash::default(), Flash::default()];
+            flashes[at].cut_after(cut);
+            let (used, accepted, mut flashes) = life(flashes, 1, 100);
+            flashes[at].restart();
+            // The same packages come again.
+            let (used_then, accepted_then, _) = life(flashes, 1, 100);
+            let last = used.last().copied().unwrap_or(0);
+            let first = *used_then.first().expect("it goes on");
+            assert!(first > last, "cut {cut} of {at}: {first} after {last}");
+            assert!(first <= last + 1 + SENT_RESERVATION as u32);
+            let last = accepted.last().copied().unwrap_or(0);
+            let first = accepted_then.first().copied().unwrap_or(101);
+            assert!(
+                first > last,
+                "cut {cut} of {at}: {first} accepted after {last}"
+            );
+            assert!(first <= last + 1 + ACCEPTED_RESERVATION as u32);
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_remembered_is_refused() {
+    let mut flashes = [Flash::<2>::default(), Flash::default(), Flash::default()];
+    flashes[0].cut_after(0);
+    flashes[1].cut_after(0);
+    let [sent, a, b] = flashes;
+    let mut vehicle: Vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], sent, [a, b]);
+    vehicle.plain_in(&HEARTBEAT);
+    assert!(vehicle.packages().is_empty());
+    assert_eq!(refusals(vehicle.end.sealed()), [(Refusal::NotStored, 1)]);
+    let mut from_station = sealer(&STATION, 1);
+    let package = seal(&mut from_station, &packet(20));
+    vehicle.air_in(hx::Tag::AirData, &package);
+    assert!(vehicle.plain.output.is_empty());
+    assert_eq!(refusals(vehicle.end.opened()), [(Refusal::NotStored, 1)]);
+    // The other station's mark is in another place.
+    let package = seal(&mut sealer(&OTHER, 1), &packet(20));
+    vehicle.air_in(hx::Tag::AirData, &package);
+    assert_eq!(vehicle.plain.output, packet(20));
+}
+
+#[test]
+fn the_last_counter_is_used_once_and_nothing_follows() {
+    let mut flash = Flash::<2>::default();
+    let mut mark = Mark::open(&mut flash, REGION).expect("a region");
+    mark.reserve(u64::from(u32::MAX) - 3, 0).expect("stored");
+    let flashes = [Flash::default(), Flash::default()];
+    let mut vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], flash, flashes);
+    assert_eq!(vehicle.end.next_counter(), Some(u32::MAX - 2));
+    for expected in [u32::MAX - 2, u32::MAX - 1] {
+        vehicle.plain_in(&HEARTBEAT);
+        assert_eq!(counter(&vehicle.packages()[0]), expected);
+    }
+    vehicle.plain_in(&HEARTBEAT);
+    assert!(vehicle.packages().is_empty());
+    assert_eq!(
+        refusals(vehicle.end.sealed()),
+        [(Refusal::CounterExhausted, 1)]
+    );
+    // Nor after a restart, with a mark behind all counters.
+    let (flash, flashes) = vehicle.end.into_flashes();
+    let mut vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], flash, flashes);
+    assert_eq!(vehicle.end.next_counter(), None);
+    vehicle.plain_in(&HEARTBEAT);
+    assert!(vehicle.packages().is_empty());
+}
+
+#[test]
+fn peers_are_heard_above_their_marks() {
+    let mut flashes = [Flash::<2>::default(), Flash::default(), Flash::default()];
+    let mut mark = Mark::open(&mut flashes[2], REGION).expect("a region");
+    mark.reserve(40, 9).expect("stored");
+    let [sent, a, b] = flashes;
+    let mut vehicle: Vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], sent, [a, b]);
+    let peers: Vec<_> = vehicle.end.peers().collect();
+    assert_eq!(peers, [(SenderId(5), 0), (SenderId(6), 48)]);
+    let mut other = sealer(&OTHER, 48);
+    for _ in 0..2 {
+        let package = seal(&mut other, &packet(20));
+        vehicle.air_in(hx::Tag::AirData, &package);
+    }
+    assert_eq!(refusals(vehicle.end.opened()), [(Refusal::Stale, 1)]);
+    assert_eq!(vehicle.end.opened().packages(), 1);
+}
+
+#[test]
+fn keys_that_are_none_are_told() {
+    let end = |own: &Credential, peers: &[Credential; 1]| {
+        let marks = marks(Flash::<2>::default(), [Flash::default()]);
+        End::<_, 1>::new(own, peers, marks, Radio::Station, PATIENCE).err()
+    };
+    let zero = credential(1, 0);
+    let all_zero = Some(PermitError::Key(mavlink_commsec::KeyError::AllZero));
+    assert_eq!(end(&zero, &[STATION]), all_zero);
+    assert_eq!(end(&STATION, &[zero]), all_zero);
+}
+
+#[test]
+fn every_reason_has_words_of_its_own() {
+    let mut words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
+    words.sort();
+    words.dedup();
+    assert_eq!(words.len(), Refusal::ALL.len());
+}
