@@ -5,18 +5,20 @@ use mavlink_commsec::field::{
 };
 use mavlink_commsec::hx::{Decoder, Tag};
 use mavlink_commsec::{
-    AesGcm, Cipher, CipherError, EpochHeader, Header, Key, Message, Opener, PermitError, Sealer,
-    SenderId, radio,
+    AesGcm, Cipher, CipherError, Credential, EpochCounter, EpochHeader, Header, Key, Message,
+    Opener, PackError, PermitError, Sealer, SenderId, radio,
 };
 use mavseal_proofs::cipher::{Specified, Verdict, nonce_of};
 use mavseal_proofs::link::{self, Step};
 use mavseal_proofs::packing::Kind;
 use mavseal_proofs::{framing, opening, packing, sealing};
 use ring::aead::{AES_128_GCM, Aad, LessSafeKey, Nonce, UnboundKey};
+use std::error::Error as _;
 use std::time::Duration;
 
 use crate::input::input;
 use crate::reached::reached;
+use crate::repair;
 
 /// The keys of the two senders, and their ids.
 const KEYS: [[u8; KEY_SIZE]; 2] = [[0x51; KEY_SIZE], [0x62; KEY_SIZE]];
@@ -157,6 +159,19 @@ fn receiver<H: Specified>(shared: bool, lasts: [H::Place; 2], limit: u32) -> Ope
         permitted.and_then(|()| opener.resume(key(1), &[two]))
     };
     permitted.expect("there is room");
+    let erased = |of: u8| Credential {
+        id: H::id(IDS[0]),
+        key: [of; KEY_SIZE],
+        salt: SALT,
+    };
+    for key in [0, 1, 0xFF] {
+        let made = Opener::<1, AesGcm, H>::of(&[erased(key)], |_| H::BEFORE_ALL);
+        assert_eq!(made.is_ok(), key == 1);
+        if let Err(error) = &made {
+            assert!(error.source().is_some());
+        }
+        reached(made);
+    }
     for senders in [&[][..], &[one.0], &[H::id(8), H::id(9)]] {
         let refused: Result<(), PermitError> = opener.permit(key(0), senders);
         reached(refused);
@@ -205,9 +220,18 @@ pub fn seal_open(input: &Sealing) {
     if let Ok(outcome) = epoch {
         reached(outcome);
     }
+    let place = EpochCounter::from_number(mark);
+    assert_eq!(
+        place.map(EpochCounter::to_number),
+        Some(mark).filter(|mark| mark >> 48 == 0)
+    );
 
     let key = || Key::<AesGcm>::new(&KEYS[0], salt).expect("a key");
-    let mut sealer = Sealer::resume(key(), SenderId(id), first);
+    let mut sealer = if first == 1 {
+        Sealer::new(key(), SenderId(id))
+    } else {
+        Sealer::resume(key(), SenderId(id), first)
+    };
     let mut opener = Opener::<1>::new();
     opener
         .permit(key(), &[SenderId(id)])
@@ -284,7 +308,30 @@ pub fn hx_decoder(input: &Line<'_>) {
         Ok(radio::Answer::Debug(status, debug)) => assert_eq!(status.to_wire_with(debug), payload),
         Err(_) => {}
     }
+    if let Ok(answer) = &answer {
+        let status = answer.status();
+        let (gcs, vehicle) = (
+            status.gcs_radio(payload[0]),
+            status.vehicle_radio(payload[1], 1, 2),
+        );
+        // Both say the same of the status, but for one byte: how the frames of the host overflowed.
+        assert_eq!(
+            (gcs[6..12].to_vec(), gcs[13..15].to_vec()),
+            (vehicle[6..12].to_vec(), vehicle[13..15].to_vec())
+        );
+        for (packet, crc_extra) in [(gcs, 108), (vehicle, 238)] {
+            let sum = repair::checksum(&packet[1..15], crc_extra);
+            assert_eq!(packet[15..], sum.to_le_bytes());
+        }
+    }
     reached(answer);
+    let request = radio::Request::from_wire(payload);
+    let written = request.map(|request| request.to_wire().to_vec());
+    assert_eq!(
+        written.is_some(),
+        matches!(payload, [b'B' | b'b' | b'D' | b'd', b'\r'])
+    );
+    assert!(written.is_none_or(|bytes| bytes.eq_ignore_ascii_case(payload)));
 }
 
 input! {
@@ -355,10 +402,19 @@ pub fn pack_packets(input: &Packets) {
     let given: Vec<_> = given.collect();
     let _ = packing::packed(kind, &given, input.polls);
     for (packet, now) in given {
-        reached(kind.packer().push(packet, now));
+        let pushed = kind.packer().push(packet, now);
+        if let Err(error) = pushed {
+            let parsed = matches!(error, PackError::Parse(_));
+            assert_eq!(error.source().is_some(), parsed);
+        }
+        reached(pushed);
     }
     let message = input.message.as_flattened();
-    reached(packing::unpacked(message.try_into().expect("80 bytes")));
+    let unpacked = packing::unpacked(message.try_into().expect("80 bytes"));
+    if let Err(error) = unpacked {
+        assert!(error.source().is_some());
+    }
+    reached(unpacked);
 }
 
 input! {

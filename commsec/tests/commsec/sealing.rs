@@ -182,6 +182,7 @@ fn debug_shows_no_secrets() {
             "{:?}",
             crate::common::receiver(BASE_KEY, BASE_SALT, [5]).open(&hex(vectors::B.package))
         ),
+        format!("{:?}", crate::common::receiver(BASE_KEY, BASE_SALT, [5])),
         {
             let mut packer = Packer::new(core::time::Duration::ZERO);
             let packet = [0xFE, 2, 0, 1, 1, 30, 0x41, 0x42, 3, 4];
@@ -197,6 +198,7 @@ fn debug_shows_no_secrets() {
         "Credential { id: SenderId(5), .. }",
         "Sealer { key: Key(redacted), id: SenderId(5), next: 1 }",
         "Ok(Opened { header: Header { sender: SenderId(5), counter: 1 }, .. })",
+        "Opener { senders: {SenderId(5): Row { key: 0, last: 0 }}, limit: 16777216, .. }",
         "Packer { pending: 10, refused: 0, .. }",
         "Packets { rest: 80 }",
     ];
