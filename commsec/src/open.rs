@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use heapless::{LinearMap, Vec};
+use heapless::Vec;
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, Message};
@@ -76,7 +76,8 @@ impl<H: fmt::Debug> fmt::Debug for Opened<H> {
 
 /// What a receiver remembers of one sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Row<P> {
+struct Row<I, P> {
+    sender: I,
     /// Which of the keys is his.
     key: usize,
     /// The place of the last package accepted of him; before the first, one before all.
@@ -96,7 +97,7 @@ struct Guarded<C, H> {
 /// memory alone; whoever acts on a message before a mark above it is stored may act again after a restart.
 pub struct Opener<const N: usize, C: Cipher = AesGcm, H: HeaderFormat = Header> {
     keys: Vec<Guarded<C, H>, N>,
-    senders: LinearMap<H::Id, Row<H::Place>, N>,
+    rows: Vec<Row<H::Id, H::Place>, N>,
     limit: u32,
 }
 
@@ -112,7 +113,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     pub const fn with_limit(limit: u32) -> Self {
         Self {
             keys: Vec::new(),
-            senders: LinearMap::new(),
+            rows: Vec::new(),
             limit,
         }
     }
@@ -186,11 +187,11 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         for (at, (sender, _)) in senders.clone().enumerate() {
             let mut before = senders.clone().take(at);
             let twice = before.any(|(other, _)| other == sender);
-            if twice || self.senders.contains_key(&sender) {
+            if twice || self.row(sender).is_some() {
                 return Err(PermitError::Twice(sender.into()));
             }
         }
-        if count > N.saturating_sub(self.senders.len()) {
+        if count > N.saturating_sub(self.rows.len()) {
             return Err(PermitError::TableFull);
         }
         // No key is without a sender, so that there is room for a key wherever there is for a sender.
@@ -200,22 +201,22 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
             .push(guarded)
             .map_err(|_| PermitError::TableFull)?;
         for (sender, last) in senders {
-            let inserted = self.senders.insert(sender, Row { key, last });
-            inserted.map_err(|_| PermitError::TableFull)?;
+            let pushed = self.rows.push(Row { sender, key, last });
+            pushed.map_err(|_| PermitError::TableFull)?;
         }
         Ok(())
     }
 
     /// Every permitted sender, and the counter up to which everything of his is refused.
     pub fn senders(&self) -> impl Iterator<Item = (H::Id, H::Place)> {
-        self.senders.iter().map(|(sender, row)| (*sender, row.last))
+        self.rows.iter().map(|row| (row.sender, row.last))
     }
 
     /// How many packages that claimed the key of `sender` had a wrong tag; `None` if nobody has
     /// permitted him. Senders with one key have one count.
     #[must_use]
     pub fn failed_opens(&self, sender: H::Id) -> Option<u32> {
-        let row = self.senders.get(&sender)?;
+        let row = self.row(sender)?;
         Some(self.keys.get(row.key)?.failed)
     }
 
@@ -236,7 +237,9 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
             tag,
         } = Parts::<H>::of(package)?;
         let unknown = OpenError::UnknownSender(header.sender().into());
-        let row = self.senders.get_mut(&header.sender()).ok_or(unknown)?;
+        let mut rows = self.rows.iter_mut();
+        let row = rows.find(|row| row.sender == header.sender());
+        let row = row.ok_or(unknown)?;
         if header.is_end() {
             return Err(OpenError::NoCounter(header.sender().into()));
         }
@@ -257,24 +260,23 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         Ok(Opened { header, message })
     }
 
-    /// For proofs: with one key more, the wrong tags counted for it, and its senders, each with what he is
-    /// refused up to.
+    fn row(&self, sender: H::Id) -> Option<&Row<H::Id, H::Place>> {
+        self.rows.iter().find(|row| row.sender == sender)
+    }
+
+    /// For proofs: with one key more, and the wrong tags counted for it.
     #[cfg(kani)]
     #[must_use]
-    pub fn holding(mut self, key: Key<C, H>, failed: u32, senders: &[(H::Id, H::Place)]) -> Self {
-        let at = self.keys.len();
+    pub fn with_key(mut self, key: Key<C, H>, failed: u32) -> Self {
         core::mem::forget(self.keys.push(Guarded { key, failed }));
-        let rows = senders.iter().map(|(sender, last)| {
-            (
-                *sender,
-                Row {
-                    key: at,
-                    last: *last,
-                },
-            )
-        });
-        let before = self.senders.iter().map(|(sender, row)| (*sender, *row));
-        self.senders = before.chain(rows).collect();
+        self
+    }
+
+    /// For proofs: with one sender more, which of the keys is his, and what he is refused up to.
+    #[cfg(kani)]
+    #[must_use]
+    pub fn with_sender(mut self, sender: H::Id, key: usize, last: H::Place) -> Self {
+        core::mem::forget(self.rows.push(Row { sender, key, last }));
         self
     }
 }
@@ -288,7 +290,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Default for Opener<N, C, H> {
 impl<const N: usize, C: Cipher, H: HeaderFormat> fmt::Debug for Opener<N, C, H> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Opener")
-            .field("senders", &self.senders)
+            .field("senders", &self.rows)
             .field("limit", &self.limit)
             .finish_non_exhaustive()
     }

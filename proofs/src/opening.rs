@@ -422,11 +422,13 @@ mod harness {
         // No state in which more were counted than are let be: the count stops there.
         kani::assume(failed.iter().all(|failed| *failed <= limit));
         let opener = Opener::<2, Told, H>::with_limit(limit);
+        let opener = opener.with_key(key(0), failed[0]);
+        let opener = opener.with_sender(one.0, 0, one.1);
         let mut opener = if shared {
-            opener.holding(key(0), failed[0], &[one, two])
+            opener.with_sender(two.0, 0, two.1)
         } else {
-            let opener = opener.holding(key(0), failed[0], &[one]);
-            opener.holding(key(1), failed[1], &[two])
+            let opener = opener.with_key(key(1), failed[1]);
+            opener.with_sender(two.0, 1, two.1)
         };
 
         let bytes: [u8; PACKAGE_SIZE + 1] = kani::any();

@@ -198,7 +198,7 @@ fn debug_shows_no_secrets() {
         "Credential { id: SenderId(5), .. }",
         "Sealer { key: Key(redacted), id: SenderId(5), next: 1 }",
         "Ok(Opened { header: Header { sender: SenderId(5), counter: 1 }, .. })",
-        "Opener { senders: {SenderId(5): Row { key: 0, last: 0 }}, limit: 16777216, .. }",
+        "Opener { senders: [Row { sender: SenderId(5), key: 0, last: 0 }], limit: 16777216, .. }",
         "Packer { pending: 10, refused: 0, .. }",
         "Packets { rest: 80 }",
     ];
