@@ -276,7 +276,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     #[cfg(kani)]
     #[must_use]
     pub fn with_sender(mut self, sender: H::Id, key: usize, last: H::Place) -> Self {
-        core::mem::forget(self.rows.push(Row { sender, key, last }));
+        let _ = self.rows.push(Row { sender, key, last });
         self
     }
 }

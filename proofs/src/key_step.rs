@@ -260,7 +260,7 @@ mod twins {
 #[cfg(kani)]
 mod harness {
     use super::*;
-    use crate::model::{AnyTag, any_checksum};
+    use crate::model::AnyTag;
 
     /// One call in the state with this number: which it is, is known to the solver, the keys are not.
     fn any_call<const STATE: usize>(call: impl Fn(u8) -> Call) -> Result<(), KeyChangeError> {
@@ -274,7 +274,7 @@ mod harness {
         ($($name:ident $state:literal $call:expr;)*) => {$(
             #[kani::proof]
             #[kani::unwind(33)]
-            #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+            #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
             fn $name() {
                 let result = any_call::<$state>($call);
                 kani::cover!(result.is_ok(), "done");
@@ -297,7 +297,7 @@ mod harness {
 
     #[kani::proof]
     #[kani::unwind(33)]
-    #[kani::stub(mavlink_signing::crc::checksum, any_checksum)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn k1_retires_no_earlier() {
         let refused = any_call::<4>(|_| Call::Retire);
         assert_eq!(refused, Err(KeyChangeError::NotConfirmed));

@@ -62,7 +62,7 @@ impl From<PackError> for Fault {
             PackError::OldVehicle => Self::OldVehicle,
             PackError::Trailing(length) => Self::Trailing(length),
             PackError::TooLong(length) => Self::TooLong(length),
-            other => unreachable!("{other}"),
+            other => unreachable!("{other:?}"),
         }
     }
 }

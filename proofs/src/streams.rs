@@ -307,10 +307,9 @@ mod harness {
         if let [one, other] = rows.as_slice() {
             kani::assume(one.0 != other.0);
         }
-        (
-            Streams::resume(links, window, first).holding(&rows, closed),
-            first,
-        )
+        let own = rows.iter().filter(|(.., own)| *own).count();
+        let streams = Streams::resume(links, window, first).holding(&rows, closed);
+        (streams, first, own)
     }
 
     fn any_header() -> Header {
