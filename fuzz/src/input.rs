@@ -104,11 +104,9 @@ impl<T: Encode, const N: usize> Encode for [T; N] {
     }
 }
 
-/// Only as the last field: as many as there are bytes for.
 impl<'input, T: Arbitrary<'input>> Take<'input> for Vec<T> {
     fn take(bytes: &mut Unstructured<'input>) -> arbitrary::Result<Self> {
-        let rest = std::mem::replace(bytes, Unstructured::new(&[]));
-        Self::arbitrary_take_rest(rest)
+        Self::arbitrary(bytes)
     }
 }
 

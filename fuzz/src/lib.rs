@@ -27,8 +27,8 @@ use input::decode;
 pub struct Target {
     /// Its name: its function's, and its file's in `fuzz_targets/`.
     pub name: &'static str,
-    /// Runs it on the bytes of a file, as libFuzzer does.
-    pub run: fn(&[u8]),
+    /// Runs it on the bytes of a file, as libFuzzer does; whether they are an input of it.
+    pub run: fn(&[u8]) -> bool,
 }
 
 /// Names targets, each with its function and how that comes by its input.
@@ -71,12 +71,15 @@ targets! {
     sealed::sealed_link: input,
 }
 
-fn bytes(bytes: &[u8], target: impl Fn(&[u8])) {
+fn bytes(bytes: &[u8], target: impl Fn(&[u8])) -> bool {
     target(bytes);
+    true
 }
 
-fn input<'a, T: Arbitrary<'a>>(bytes: &'a [u8], target: impl Fn(&T)) {
-    if let Some(input) = decode(bytes) {
-        target(&input);
-    }
+fn input<'a, T: Arbitrary<'a>>(bytes: &'a [u8], target: impl Fn(&T)) -> bool {
+    let input = decode(bytes);
+    input.as_ref().is_some_and(|input| {
+        target(input);
+        true
+    })
 }

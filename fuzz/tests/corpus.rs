@@ -27,7 +27,8 @@ fn every_input() {
         let found = entries(&format!("found/{}", target.name));
         for path in seeds.iter().chain(&found) {
             println!("{}", path.display());
-            (target.run)(&fs::read(path).expect("a file"));
+            let ran = (target.run)(&fs::read(path).expect("a file"));
+            assert!(ran, "{} is no input", path.display());
         }
     }
 }

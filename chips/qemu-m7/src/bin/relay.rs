@@ -16,6 +16,8 @@ use mavseal_store::Region;
 const LINK_OUT: u8 = 1;
 /// Silence after which the counters are logged: one second.
 const QUIET: u64 = TICKS_PER_SECOND;
+/// Silence after which a packet that has begun is given up: half a second.
+const IDLE: u64 = TICKS_PER_SECOND / 2;
 /// How often the clock is told the time of day: well within what it believes a source for.
 const HOUR: u64 = 3600 * TICKS_PER_SECOND;
 /// The whole of a flash.
@@ -112,11 +114,12 @@ fn main() -> ! {
         exit(1);
     };
     let receiver = peer::receiver(kept.floor());
-    let Ok(mut relay) = Relay::new(keys, kept.stamper(LINK_OUT), receiver, Forward::Stripped)
-    else {
+    let Ok(relay) = Relay::new(keys, kept.stamper(LINK_OUT), receiver, Forward::Stripped) else {
         warn!("Both directions have the same link id");
         exit(1);
     };
+    // The machine that emulates this one may pause for longer than a line does.
+    let mut relay = relay.idle(IDLE);
     relay.keep_setup(SYSTEM, COMPONENT);
     let [mut plain, mut secure] = board.uarts;
 
