@@ -16,6 +16,7 @@ pub mod seeds;
 pub mod senders;
 pub mod standard;
 pub mod streams;
+pub mod time;
 pub mod unsigned;
 pub mod values;
 
@@ -62,6 +63,7 @@ targets! {
     values::stamps: input,
     memory::store_crash: input,
     memory::key_change: input,
+    time::kept_link: input,
     sealed::diff_gcm: input,
     sealed::hx_decoder: input,
     files::key_file: bytes,

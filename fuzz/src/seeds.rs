@@ -5,6 +5,7 @@ mod packets;
 mod sealed;
 mod senders;
 mod streams;
+mod time;
 mod unsigned;
 mod values;
 
@@ -54,6 +55,7 @@ pub fn all(telemetry: &[Vec<u8>]) -> Vec<Seed> {
     seeds.values();
     seeds.foreign();
     seeds.memory();
+    seeds.time();
     seeds.sealed();
     seeds.0
 }

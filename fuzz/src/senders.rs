@@ -211,7 +211,7 @@ fn sender(bits: u8) -> Stream {
     }
 }
 
-fn jump(clock: Timestamp, jump: i8) -> Timestamp {
+pub(crate) fn jump(clock: Timestamp, jump: i8) -> Timestamp {
     match jump.unsigned_abs() {
         0 => clock,
         n => move_by(clock, i64::from(jump.signum()) << ((n - 1) % 48)),
@@ -219,7 +219,7 @@ fn jump(clock: Timestamp, jump: i8) -> Timestamp {
 }
 
 /// Neither before the beginning of time nor beyond its end.
-fn move_by(clock: Timestamp, ticks: i64) -> Timestamp {
+pub(crate) fn move_by(clock: Timestamp, ticks: i64) -> Timestamp {
     let moved = clock.ticks().saturating_add_signed(ticks);
     Timestamp::ZERO.saturating_add(moved)
 }
