@@ -188,6 +188,12 @@ fn run<const N: usize>(input: &Arrivals) {
                 let (bytes, refusal) = spoilt(header, stamp, kind);
                 (receive(&bytes, &mut streams, now), Err(refusal))
             }
+            7 => {
+                let mut frame = Frame::new(header, &[]).expect("a known message");
+                sign_frame(&mut frame, &KEY, stamp).expect("not signed yet");
+                let verdict = receive(frame.as_bytes(), &mut streams, now);
+                (verdict, naive.receive(stream, timestamp, now))
+            }
             _ => {
                 let verdict = step(&mut streams, first, &KEY, header, stamp, now);
                 (verdict, naive.receive(stream, timestamp, now))
@@ -242,7 +248,15 @@ fn spoilt(header: Header, stamp: Stamp, kind: u8) -> (Vec<u8>, VerifyError) {
     }
 }
 
+/// As a relay asks for it: the verdict beforehand is the verdict, and what is unsigned is not remembered.
 fn receive(bytes: &[u8], streams: &mut impl Admit, now: Timestamp) -> Result<(), VerifyError> {
-    let authentic = authenticate(FrameRef::parse(bytes)?, &KEY)?;
-    streams.admit(authentic, now).map(drop)
+    let frame = FrameRef::parse(bytes)?;
+    if !frame.is_signed() {
+        streams.sent(frame);
+    }
+    let authentic = authenticate(frame, &KEY)?;
+    let expected = streams.check(&authentic, now);
+    let verdict = streams.admit(authentic, now).map(drop);
+    assert_eq!(verdict, expected);
+    verdict
 }

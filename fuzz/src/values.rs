@@ -1,6 +1,8 @@
 //! Targets about single values: keys and tags, checksums, message ids, stamps.
 
-use mavlink_signing::{Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Timestamp};
+use mavlink_signing::{
+    Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Timestamp, passphrase_key,
+};
 use mavseal_proofs::{checksum, replay, stamp, table};
 
 use crate::input::{Message, Moment, Receiver, Stamped, input};
@@ -18,7 +20,8 @@ input! {
     }
 }
 
-/// The profile `Hmac` against the crate `hmac-sha256` (S3), and which keys there are.
+/// The profile `Hmac` and the key of a pass-phrase against the crate `hmac-sha256` (S3), and which keys there
+/// are.
 pub fn diff_hmac(input: &Keyed<'_>) {
     let length = match input.key_length {
         u8::MAX => KEY_SIZE,

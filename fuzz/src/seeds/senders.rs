@@ -150,6 +150,25 @@ impl Seeds {
                 vec![frame(link, 0), own(one, 0), frame(one, 1)],
             ),
             (
+                "own_streams_leave_half",
+                false,
+                2,
+                vec![
+                    own(one, 0),
+                    own(system, 1),
+                    own(component, 2),
+                    frame(component, 3),
+                    frame(one, 3),
+                    frame(link, 3),
+                ],
+            ),
+            (
+                "own_streams_of_two_links",
+                false,
+                0,
+                vec![own(one, 0), own(one, 1), own(link, 2), frame(3, 3)],
+            ),
+            (
                 "reflected_of_another_link",
                 true,
                 2,
