@@ -20,7 +20,7 @@ pub const DEBUG_SIZE: usize = 30;
 pub enum Request {
     /// `B`: [`Status`].
     Status,
-    /// `D`: [`Status`] and [`Debug`].
+    /// `D`: [`Status`] and [`Debug`](struct@Debug).
     Debug,
 }
 

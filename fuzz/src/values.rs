@@ -41,6 +41,13 @@ pub fn diff_hmac(input: &Keyed<'_>) {
         }
     }
     reached(made);
+    if let Ok(passphrase) = str::from_utf8(message) {
+        let key = passphrase_key(passphrase);
+        assert_eq!(key, hmac_sha256::Hash::hash(message));
+        let made = SigningKey::<Hmac>::from_passphrase(passphrase).expect("not zeros");
+        let same = SigningKey::<Hmac>::new(&key).expect("not zeros");
+        assert_eq!(made.fingerprint(), same.fingerprint());
+    }
 }
 
 input! {
