@@ -385,6 +385,7 @@ mod harness {
     fn p1_two_fit() {
         let shared = two_packets(&any_packet::<40>(), &any_packet::<40>(), any_index());
         assert!(shared);
+        kani::cover!(true, "in one message");
     }
 
     /// Two that do not fit into one.
@@ -393,6 +394,7 @@ mod harness {
     fn p1_two_do_not_fit() {
         let shared = two_packets(&any_packet::<40>(), &any_packet::<41>(), any_index());
         assert!(!shared);
+        kani::cover!(true, "in two");
     }
 
     #[kani::proof]
