@@ -5,6 +5,7 @@
 //! committed seed, on any stable compiler.
 
 pub mod files;
+pub mod flash;
 pub mod frames;
 pub mod input;
 pub mod memory;
@@ -62,6 +63,7 @@ targets! {
     values::stamps: input,
     memory::store_crash: input,
     memory::key_change: input,
+    flash::key_slots: input,
     sealed::diff_gcm: input,
     sealed::hx_decoder: input,
     files::key_file: bytes,
