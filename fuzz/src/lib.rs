@@ -4,6 +4,7 @@
 //! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
 //! committed seed, on any stable compiler.
 
+pub mod ends;
 pub mod files;
 pub mod flash;
 pub mod frames;
@@ -71,6 +72,7 @@ targets! {
     sealed::pack_packets: input,
     sealed::seal_open: input,
     sealed::sealed_link: input,
+    ends::sealed_end: input,
 }
 
 fn bytes(bytes: &[u8], target: impl Fn(&[u8])) -> bool {
