@@ -68,10 +68,10 @@ input! {
     pub struct Stage {
         /// 0: a HEARTBEAT on the plain side; 1: a TUNNEL of `of` bytes of payload; 2 and 3: `of` of the
         /// bytes on the plain side, in the air; 4 and 5: a package of a peer with a TUNNEL; 6: one of a
-        /// stranger; 7: the package of `of` before; 8: the last one with bit `of` changed; 9: a package of `of` of
-        /// the bytes; 10 and 11: a frame of `of` of the bytes, air and radio data; 12: an answer of the radio;
-        /// 13: a restart; 14 and 15: a flash that fails after `of` / 4 steps, or that refuses, number `of` modulo
-        /// 3; anything else: nothing.
+        /// stranger; 7: the package of `of` before; 8: one of the first peer with byte `of` changed, counted
+        /// round; 9: one of `of` of the bytes; 10 and 11: a frame of `of` of the bytes, air and radio data;
+        /// 12: an answer of the radio; 13: a restart; 14 and 15: flash `of` modulo 3 loses its power after
+        /// `of` / 4 steps, or refuses; anything else: nothing.
         pub kind: u8,
         /// See `kind`.
         pub of: u8,
@@ -174,9 +174,10 @@ impl Script {
                     frame(hx::Tag::AirData, package);
                 }
                 8 => {
-                    let mut package = packages.last().cloned().unwrap_or_default();
-                    if let Some(byte) = package.get_mut(usize::from(of / 8)) {
-                        *byte ^= 1 << (of % 8);
+                    let package = seal(0, &tunnel(9, serial));
+                    let mut package = package.unwrap_or_default();
+                    if let Some(byte) = package.get_mut(usize::from(*of) % PACKAGE_SIZE) {
+                        *byte ^= 0x10;
                     }
                     frame(hx::Tag::AirData, &package);
                 }

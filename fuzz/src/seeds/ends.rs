@@ -82,7 +82,7 @@ impl Seeds {
             ),
             (
                 "damaged_package",
-                vec![stage(4, 9), stage(4, 9), stage(8, 200)],
+                vec![stage(4, 9), stage(4, 9), stage(8, 50)],
                 none,
             ),
             ("package_of_a_stranger", vec![stage(6, 9)], none),
@@ -108,7 +108,7 @@ impl Seeds {
             ),
             ("long_frame", vec![air(255)], &long),
             (
-                "power_fails_before_a_mark",
+                "power_fails_in_a_mark",
                 vec![
                     stage(14, 0),
                     stage(14, 1),
@@ -121,7 +121,7 @@ impl Seeds {
                 none,
             ),
             (
-                "power_fails_inside_a_mark",
+                "power_fails_in_its_checksum",
                 vec![
                     stage(14, 6),
                     stage(14, 7),
@@ -178,9 +178,11 @@ impl Seeds {
         };
         self.add("sealed_end", "broken_cipher", &broken);
         for (fault, name) in (1..).zip(["ready", "read", "ended", "room", "write", "full"]) {
-            let mut failing = [stage(0, 0), stage(4, 9)];
-            failing[0].ports[0].fault = fault;
-            failing[1].ports[1].fault = fault;
+            let failing = [(0, 0), (4, 1), (0, 1), (4, 0)].map(|(kind, port)| {
+                let mut failing = stage(kind, 9);
+                failing.ports[port].fault = fault;
+                failing
+            });
             // What a fault kept waiting, in small pieces.
             let mut slow = stage(16, 0);
             slow.ports[0].room = 7;
