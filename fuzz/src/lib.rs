@@ -4,7 +4,9 @@
 //! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
 //! committed seed, on any stable compiler.
 
+pub mod ends;
 pub mod files;
+pub mod flash;
 pub mod frames;
 pub mod input;
 pub mod memory;
@@ -64,6 +66,7 @@ targets! {
     memory::store_crash: input,
     memory::key_change: input,
     time::kept_link: input,
+    flash::key_slots: input,
     sealed::diff_gcm: input,
     sealed::hx_decoder: input,
     files::key_file: bytes,
@@ -71,6 +74,7 @@ targets! {
     sealed::pack_packets: input,
     sealed::seal_open: input,
     sealed::sealed_link: input,
+    ends::sealed_end: input,
 }
 
 fn bytes(bytes: &[u8], target: impl Fn(&[u8])) -> bool {

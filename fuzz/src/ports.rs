@@ -54,7 +54,7 @@ input! {
 
 /// Which call of a port fails in a turn, by [`Behaviour::fault`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fault {
+pub(crate) enum Fault {
     None,
     ReadReady,
     Read,
@@ -65,7 +65,7 @@ enum Fault {
 }
 
 impl Fault {
-    fn from(number: u8) -> Self {
+    pub(crate) fn from(number: u8) -> Self {
         match number {
             1 => Self::ReadReady,
             2 => Self::Read,
@@ -79,17 +79,17 @@ impl Fault {
 }
 
 /// A side's port.
-struct Port<'a> {
+pub(crate) struct Port<'a> {
     /// What has not been read yet, and how much of it has arrived.
     input: &'a [u8],
     arrived: usize,
-    output: Vec<u8>,
+    pub(crate) output: Vec<u8>,
     room: usize,
     fault: Fault,
 }
 
 impl<'a> Port<'a> {
-    fn new(input: &'a [u8]) -> Self {
+    pub(crate) fn new(input: &'a [u8]) -> Self {
         Self {
             input,
             arrived: 0,
@@ -99,7 +99,7 @@ impl<'a> Port<'a> {
         }
     }
 
-    fn turn(&mut self, arrive: usize, room: usize, fault: Fault) {
+    pub(crate) fn turn(&mut self, arrive: usize, room: usize, fault: Fault) {
         self.arrived = self.arrived.saturating_add(arrive).min(self.input.len());
         self.room = room;
         self.fault = fault;
@@ -165,7 +165,7 @@ impl Write for Port<'_> {
 
 /// Whether an error is the one that the faults of the port that is read and of the one that is written
 /// make.
-fn is_due(error: &PortError<ErrorKind, ErrorKind>, input: Fault, output: Fault) -> bool {
+pub(crate) fn is_due(error: &PortError<ErrorKind, ErrorKind>, input: Fault, output: Fault) -> bool {
     match error {
         PortError::Input(_) => matches!(input, Fault::ReadReady | Fault::Read),
         PortError::InputClosed => input == Fault::Ended,

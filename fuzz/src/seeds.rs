@@ -1,5 +1,6 @@
 //! Where fuzzing begins: inputs named by what they are, `cargo xtask fuzz seeds`.
 
+mod ends;
 mod memory;
 mod packets;
 mod sealed;
@@ -57,6 +58,7 @@ pub fn all(telemetry: &[Vec<u8>]) -> Vec<Seed> {
     seeds.memory();
     seeds.time();
     seeds.sealed();
+    seeds.ends();
     seeds.0
 }
 

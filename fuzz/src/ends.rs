@@ -1,0 +1,405 @@
+//! Target: one end of a sealed link, over restarts, between ports and flashes that fail.
+
+use std::time::Duration;
+
+use mavlink_commsec::field::{KEY_SIZE, MESSAGE_SIZE, PACKAGE_SIZE};
+use mavlink_commsec::radio::Status;
+use mavlink_commsec::{
+    AesGcm, Cipher, CipherError, Credential, Message, Nonce, Opener, Sealer, SenderId, Tag,
+    ZeroizeOnDrop, hx, packets,
+};
+use mavseal_relay::Direction;
+use mavseal_relay::sealed::{Counters, End, Event, Marks, Radio, Refusal};
+use mavseal_store::Mark;
+
+use crate::flash::{REGION, Shared};
+use crate::input::input;
+use crate::ports::{Behaviour, Fault, Port, is_due};
+use crate::reached::reached;
+use crate::repair;
+
+/// The end, its two peers, and one that it does not know.
+const OWN: Credential = credential(7, 1);
+const PEERS: [Credential; 2] = [credential(5, 2), credential(6, 3)];
+const UNKNOWN: Credential = credential(9, 4);
+/// The first byte of a key with which nothing can be sealed.
+const BROKEN: u8 = 0xEE;
+
+const fn credential(id: u32, byte: u8) -> Credential {
+    Credential {
+        id: SenderId(id),
+        key: [byte; KEY_SIZE],
+        salt: 0x4353,
+    }
+}
+
+/// AES-128-GCM that fails to seal with some keys.
+struct Unit {
+    cipher: AesGcm,
+    broken: bool,
+}
+
+// The one secret wipes itself.
+impl ZeroizeOnDrop for Unit {}
+
+impl Cipher for Unit {
+    fn new(key: &[u8; KEY_SIZE]) -> Self {
+        Self {
+            cipher: AesGcm::new(key),
+            broken: key[0] == BROKEN,
+        }
+    }
+
+    fn seal(&self, nonce: &Nonce, message: &mut Message) -> Result<Tag, CipherError> {
+        if self.broken {
+            return Err(CipherError);
+        }
+        self.cipher.seal(nonce, message)
+    }
+
+    fn open(&self, nonce: &Nonce, message: &mut Message, tag: &Tag) -> Result<(), CipherError> {
+        self.cipher.open(nonce, message, tag)
+    }
+}
+
+input! {
+    /// A step: what arrives or happens, then a turn of the end.
+    #[derive(Copy, Default)]
+    pub struct Stage {
+        /// 0: a HEARTBEAT on the plain side; 1: a TUNNEL of `of` bytes of payload; 2 and 3: `of` of the
+        /// bytes on the plain side, in the air; 4 and 5: a package of a peer with a TUNNEL; 6: one of a
+        /// stranger; 7: the package of `of` before; 8: one of the first peer with byte `of` changed, counted
+        /// round; 9: one of `of` of the bytes; 10 and 11: a frame of `of` of the bytes, air and radio data;
+        /// 12: an answer of the radio; 13: a restart; 14 and 15: flash `of` modulo 3 loses its power after
+        /// `of` / 4 steps, or refuses; anything else: nothing.
+        pub kind: u8,
+        /// See `kind`.
+        pub of: u8,
+        /// Time since the step before, in 40 microseconds.
+        pub ticks: u16,
+        /// What the plain and the radio's port do; 255 bytes are all there are.
+        pub ports: [Behaviour; 2],
+    }
+}
+
+input! {
+    /// An end, and all that happens to it.
+    #[derive(Default)]
+    pub struct Ends<'a> {
+        /// Whether it is a station.
+        pub station: bool,
+        /// Whether its cipher is broken.
+        pub broken: bool,
+        /// What is left to chance: how a cut leaves words.
+        pub chance: i64,
+        /// Where its own counters begin, and those of both peers, each in two halves.
+        pub first: [[u16; 2]; 2],
+        /// How long a packet waits for others, in milliseconds.
+        pub patience: u8,
+        /// In order.
+        pub stages: Vec<Stage>,
+        /// What some of them take bytes from.
+        pub bytes: &'a [u8],
+    }
+}
+
+/// All that will arrive, and how much of it in each stage, from the plain side and from the radio.
+#[derive(Default)]
+struct Script {
+    plain: Vec<u8>,
+    air: Vec<u8>,
+    lengths: Vec<[usize; 2]>,
+    /// What the peers sealed.
+    sealed: Vec<(SenderId, u32, Message)>,
+}
+
+fn tunnel(length: u8, serial: u8) -> Vec<u8> {
+    let length = length.max(1);
+    let mut packet = vec![0xFD, length, 0, 0, serial, 1, 1, 0x81, 0x01, 0];
+    packet.resize(10 + usize::from(length), serial | 1);
+    let sum = repair::checksum(&packet[1..], 147);
+    packet.extend(sum.to_le_bytes());
+    packet
+}
+
+const HEARTBEAT: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
+
+impl Script {
+    fn of(input: &Ends<'_>, stages: &[Stage]) -> Self {
+        let mut script = Self::default();
+        let first = number(input.first[1]);
+        let mut sealers = [&PEERS[0], &PEERS[1], &UNKNOWN].map(|credential| {
+            let key = credential.prepare().expect("a key");
+            Sealer::<AesGcm>::resume(key, credential.id, first)
+        });
+        let mut packages: Vec<Vec<u8>> = Vec::new();
+        let mut rest = input.bytes;
+        let mut serial = 0;
+        for Stage { kind, of, .. } in stages {
+            let before = [script.plain.len(), script.air.len()];
+            let mut some = || {
+                let (some, others) = rest.split_at(rest.len().min((*of).into()));
+                rest = others;
+                some
+            };
+            let mut seal = |which: usize, text: &[u8]| {
+                let mut message = [0; MESSAGE_SIZE];
+                for (byte, text) in message.iter_mut().zip(text) {
+                    *byte = *text;
+                }
+                let counter = sealers[which].next_counter()?;
+                let package = sealers[which].seal(&message).ok()?.as_bytes().to_vec();
+                script.sealed.push((sealers[which].id(), counter, message));
+                packages.push(package.clone());
+                Some(package)
+            };
+            serial += 1;
+            let mut frame = |tag, payload: &[u8]| {
+                if let Ok(frame) = hx::Frame::new(tag, payload) {
+                    script.air.extend(frame.encode());
+                }
+            };
+            match kind {
+                0 => script.plain.extend(HEARTBEAT),
+                1 => script.plain.extend(tunnel(*of, serial)),
+                2 => script.plain.extend(some()),
+                3 => script.air.extend(some()),
+                4..=6 => {
+                    let package = seal(usize::from(kind - 4), &tunnel(of % 68, serial));
+                    frame(hx::Tag::AirData, &package.unwrap_or_default());
+                }
+                7 => {
+                    let at = packages.len().checked_sub(usize::from(*of) + 1);
+                    let package = at.map_or(&[][..], |at| &packages[at]);
+                    frame(hx::Tag::AirData, package);
+                }
+                8 => {
+                    let package = seal(0, &tunnel(9, serial));
+                    let mut package = package.unwrap_or_default();
+                    if let Some(byte) = package.get_mut(usize::from(*of) % PACKAGE_SIZE) {
+                        *byte ^= 0x10;
+                    }
+                    frame(hx::Tag::AirData, &package);
+                }
+                9 => {
+                    let package = seal(0, some());
+                    frame(hx::Tag::AirData, &package.unwrap_or_default());
+                }
+                10 => frame(hx::Tag::AirData, some()),
+                11 => frame(hx::Tag::Radio, some()),
+                12 => {
+                    let status = Status {
+                        rssi: *of,
+                        ..Status::default()
+                    };
+                    frame(hx::Tag::Radio, &status.to_wire());
+                }
+                _ => {}
+            }
+            let lengths = [script.plain.len() - before[0], script.air.len() - before[1]];
+            script.lengths.push(lengths);
+        }
+        script
+    }
+}
+
+fn number([high, low]: [u16; 2]) -> u32 {
+    u32::from(high) << 16 | u32::from(low)
+}
+
+/// What has been seen of an end since it was switched on.
+#[derive(Default)]
+struct Seen {
+    /// Packages and packets, sealed and opened.
+    packages: [u32; 2],
+    packets: [u32; 2],
+    refused: [Vec<Refusal>; 2],
+    /// Statuses of the radio that were told.
+    told: u8,
+    /// What goes to the plain side.
+    to_plain: Vec<u8>,
+}
+
+/// No counter is used and no package opened twice, over all restarts; what comes out was sealed by a peer, or
+/// came in on the plain side, whole; every count is that of what was observed.
+pub fn sealed_end(input: &Ends<'_>) {
+    let stages = &input.stages[..input.stages.len().min(200)];
+    let script = Script::of(input, stages);
+    let flashes = [0, 1, 2].map(|at| Shared::new(input.chance.wrapping_add(at)));
+    let first = number(input.first[0]);
+    if let Some(last) = first.checked_sub(1) {
+        let mut mark = Mark::open(flashes[0].clone(), REGION).expect("fits");
+        mark.reserve(last.into(), 0).expect("stored");
+    }
+    let (mut plain, mut air) = (Port::new(&script.plain), Port::new(&script.air));
+    let mut due = [0; 2];
+    let mut now = 0;
+    // Above everything that was used, and accepted of each peer.
+    let mut used = 0;
+    let mut last = first.saturating_sub(1);
+    let mut accepted = [0; 2];
+    let mut stages = stages.iter().zip(&script.lengths).peekable();
+    while stages.peek().is_some() {
+        let mut end = switched_on(input, &flashes);
+        let mut seen = Seen::default();
+        for (stage, lengths) in stages.by_ref() {
+            now += 4 * u64::from(stage.ticks);
+            match stage.kind {
+                13 => break,
+                14 => flashes[usize::from(stage.of % 3)]
+                    .with(|flash| flash.cut_after((stage.of / 4).into())),
+                15 => flashes[usize::from(stage.of % 3)].with(|flash| flash.fail(u8::MAX)),
+                _ => {}
+            }
+            let faults = stage.ports.map(|port| Fault::from(port.fault));
+            let all = |bytes| match bytes {
+                u8::MAX => usize::MAX,
+                bytes => bytes.into(),
+            };
+            for (which, port) in [&mut plain, &mut air].into_iter().enumerate() {
+                due[which] += lengths[which];
+                let arrive = all(stage.ports[which].arrive).min(due[which]);
+                due[which] -= arrive;
+                port.turn(arrive, all(stage.ports[which].room), faults[which]);
+            }
+            for _ in 0..1000 {
+                let mut events = Vec::new();
+                let polled = end.poll(&mut plain, &mut air, now, &mut |event| events.push(event));
+                for event in events {
+                    match event {
+                        Event::Sealed(counter) => {
+                            assert!(u64::from(counter) >= used, "a counter is used twice");
+                            used = u64::from(counter) + 1;
+                            seen.packages[0] += 1;
+                        }
+                        Event::Packed => seen.packets[0] += 1,
+                        Event::Opened(sender) => {
+                            opened(&script, &end, sender, &mut accepted, &mut seen);
+                        }
+                        Event::Radio(status) => {
+                            if input.station {
+                                seen.to_plain.extend(status.gcs_radio(seen.told));
+                                seen.told = seen.told.wrapping_add(1);
+                            }
+                        }
+                        Event::Refused(direction, refusal) => {
+                            let inward = direction == Direction::SecureToPlain;
+                            seen.refused[usize::from(inward)].push(refusal);
+                            reached(Err::<(), _>(refusal));
+                        }
+                    }
+                }
+                let moved = polled.moved();
+                let failed = polled.plain_to_secure.is_err() || polled.secure_to_plain.is_err();
+                for (direction, from, to) in [
+                    (polled.plain_to_secure, faults[0], faults[1]),
+                    (polled.secure_to_plain, faults[1], faults[0]),
+                ] {
+                    if let Err(error) = &direction {
+                        assert!(is_due(error, from, to), "{error}");
+                    }
+                    reached(direction);
+                }
+                if failed || !moved {
+                    break;
+                }
+            }
+        }
+        adds_up(end.sealed(), 0, &seen);
+        adds_up(end.opened(), 1, &seen);
+        // The rest of it is lost with the power.
+        let to_plain = std::mem::take(&mut plain.output);
+        assert!(seen.to_plain.starts_with(&to_plain));
+        left(
+            input,
+            &script.plain,
+            &std::mem::take(&mut air.output),
+            &mut last,
+        );
+        flashes.iter().for_each(Shared::restart);
+    }
+}
+
+fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> End<Shared, 2, Unit> {
+    let [sent, one, two] = flashes
+        .each_ref()
+        .map(|flash| Mark::open(flash.clone(), REGION).expect("fits"));
+    let marks = Marks {
+        sent,
+        accepted: [one, two],
+    };
+    let radio = if input.station {
+        Radio::Station
+    } else {
+        Radio::Vehicle {
+            system_id: 1,
+            component_id: 68,
+        }
+    };
+    let own = credential(7, if input.broken { BROKEN } else { 1 });
+    let patience = Duration::from_millis(input.patience.into());
+    End::new(&own, &PEERS, marks, radio, patience).expect("keys")
+}
+
+/// A package that was accepted is newer than all before it, and one that this peer sealed.
+fn opened(
+    script: &Script,
+    end: &End<Shared, 2, Unit>,
+    sender: SenderId,
+    accepted: &mut [u64; 2],
+    seen: &mut Seen,
+) {
+    // One of a turn is opened, so that it is the last one of its sender.
+    let (_, counter) = end.peers().find(|(id, _)| *id == sender).expect("a peer");
+    let which = PEERS.iter().position(|peer| peer.id == sender);
+    let above = &mut accepted[which.expect("a peer")];
+    assert!(u64::from(counter) >= *above, "a package is opened twice");
+    *above = u64::from(counter) + 1;
+    let is = |(id, number, _): &&(SenderId, u32, Message)| *id == sender && *number == counter;
+    let (_, _, message) = script.sealed.iter().find(is).expect("sealed by that peer");
+    seen.packages[1] += 1;
+    for packet in packets(message).flatten() {
+        seen.packets[1] += 1;
+        seen.to_plain.extend(packet);
+    }
+}
+
+fn adds_up(counters: &Counters, direction: usize, seen: &Seen) {
+    assert_eq!(counters.packages(), seen.packages[direction]);
+    assert_eq!(counters.packets(), seen.packets[direction]);
+    for (refusal, count) in counters.refusals() {
+        let refused = seen.refused[direction].iter();
+        let expected = refused.filter(|other| **other == refusal).count();
+        assert_eq!(usize::try_from(count), Ok(expected), "{refusal}");
+    }
+}
+
+/// The packages of a run open after all before them with the end's own key, and hold whole packets of the plain side and of
+/// the radio.
+fn left(input: &Ends<'_>, plain: &[u8], air: &[u8], last: &mut u32) {
+    let mut opener = Opener::<1>::new();
+    let key = OWN.prepare().expect("a key");
+    let permitted = opener.resume(key, &[(OWN.id, *last)]);
+    permitted.expect("there is room");
+    let mut decoder = hx::Decoder::new();
+    for byte in air {
+        let frame = decoder
+            .push(*byte)
+            .map(|frame| frame.expect("whole frames"));
+        let Some(frame) = frame else { continue };
+        if frame.tag() == hx::Tag::Radio {
+            assert_eq!(frame.payload(), b"B\r");
+            continue;
+        }
+        assert!(!input.broken && frame.payload().len() == PACKAGE_SIZE);
+        let opened = opener.open(frame.payload()).expect("sealed once, in order");
+        *last = opened.counter();
+        for packet in opened.packets() {
+            let packet = packet.expect("whole packets");
+            // VEHICLE_RADIO is its own.
+            let told = !input.station && packet.len() == 17 && packet[3..6] == [1, 68, 174];
+            let came = plain.windows(packet.len()).any(|window| window == packet);
+            assert!(told || came, "{packet:?}");
+        }
+    }
+}
