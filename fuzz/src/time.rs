@@ -2,13 +2,15 @@
 
 use std::cell::Cell;
 
+use crc::{CRC_32_ISO_HDLC, Crc};
+use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
     Clock, Frame, FrameRef, Header, MessageId, RESERVATION, Replay, Source, Stamp, Stamper, Sync,
     Timekeeper, Timestamp, VerifyError, Window, authenticate, sign_frame, system_time,
 };
 use mavseal_relay::{Kept, KeptError, Refusal};
-use mavseal_store::Region;
 use mavseal_store::model::{Flash, PAGE_SIZE};
+use mavseal_store::{Mark, Region, ReserveError, StoreError};
 
 use crate::input::{Moment, input};
 use crate::reached::reached;
@@ -19,6 +21,8 @@ const REGION: Region = Region {
     start: 0,
     page_size: PAGE_SIZE as u32,
 };
+/// No whole page.
+const NOWHERE: Region = Region { start: 8, ..REGION };
 /// The link that this end signs for, and the one that it hears.
 const LINK_IDS: [u8; 2] = [1, 2];
 
@@ -47,6 +51,8 @@ input! {
         pub drift: u8,
         /// What the mark begins with.
         pub mark: Moment,
+        /// How many records the flash takes before its numbers of records are used up; 0 for all of them.
+        pub records: u8,
         /// What is left of words in which the power fails.
         pub chance: u16,
         /// In order.
@@ -68,6 +74,13 @@ pub fn kept_link(input: &End) {
     let timer = Cell::new(0);
     let mut flash = Flash::new(input.chance.into());
     let mut used = Used::default();
+    if input.happenings.is_empty() {
+        reached(Kept::new(flash, NOWHERE, || 0).map(drop));
+        return;
+    }
+    if input.records > 0 {
+        write_record(&mut flash, u32::MAX - 1 - u32::from(input.records));
+    }
     if input.mark.timestamp() != Timestamp::ZERO {
         flash = begin_at(flash, input.mark.timestamp(), &mut used);
     }
@@ -115,10 +128,26 @@ pub fn kept_link(input: &End) {
 
 /// A flash whose mark lies above `last`, as if that had been used.
 fn begin_at(flash: Flash<2>, last: Timestamp, used: &mut Used) -> Flash<2> {
-    let mut mark = mavseal_store::Mark::open(flash, REGION).expect("the region fits");
-    mark.reserve(last.ticks(), 0).expect("the flash is new");
-    used.given = Some(last);
+    let mut mark = Mark::open(flash, REGION).expect("the region fits");
+    let reserved = mark.reserve(last.ticks(), 0);
+    reached(reserved);
+    match reserved {
+        Ok(()) => used.given = Some(last),
+        Err(error) => {
+            assert_eq!(error, ReserveError::Store(StoreError::Exhausted));
+            reached(Err::<(), _>(StoreError::Exhausted));
+        }
+    }
     mark.into_flash()
+}
+
+/// Writes a mark of 0 into the first place, as the record with this number.
+fn write_record(flash: &mut Flash<2>, number: u32) {
+    let mut record = [0; 16];
+    record[8..12].copy_from_slice(&number.to_le_bytes());
+    let checksum = Crc::<u32>::new(&CRC_32_ISO_HDLC).checksum(&record[..12]);
+    record[12..].copy_from_slice(&checksum.to_le_bytes());
+    flash.write(0, &record).expect("the flash is new");
 }
 
 /// The end between two starts.

@@ -12,8 +12,10 @@ impl Seeds {
             jump,
             after,
         };
-        let [tell, told, system_time] = [1, 2, 3].map(|kind| happens(kind, 20, 0));
+        let [tell, told, system_time] = [1, 2, 3].map(|kind| happens(kind, 21, 0));
         let [send, hear, again, start] = [4, 5, 6, 7].map(|kind| happens(kind, 0, 5));
+        // Beyond the reservation by which the clock begins before the mark.
+        let late = happens(5, 21, 0);
         let later = |happening: Happening, wait| Happening { wait, ..happening };
         let now = Moment::after_now(0);
         for (name, mark, happenings) in [
@@ -22,7 +24,7 @@ impl Seeds {
             (
                 "heard_again_after_a_start",
                 now,
-                vec![hear, send, happens(7, 0, 0), again, send, hear],
+                vec![late, hear, send, happens(7, 0, 0), again, send, late],
             ),
             (
                 "power_fails_in_the_first_mark",
@@ -32,7 +34,7 @@ impl Seeds {
             (
                 "power_fails_when_a_frame_comes",
                 now,
-                vec![happens(7, 0, 1), hear, start, again, hear],
+                vec![happens(7, 0, 1), late, start, again, late],
             ),
             (
                 "first_mark_of_all",
@@ -99,6 +101,25 @@ impl Seeds {
             let input = End {
                 drift: 12,
                 mark,
+                records: 0,
+                chance: 0,
+                happenings,
+            };
+            self.add("kept_link", name, &input);
+        }
+        for (name, records, happenings) in [
+            ("no_number_left", 1, vec![late, send]),
+            (
+                "numbers_end_in_use",
+                3,
+                vec![late, send, start, late, start, late, send],
+            ),
+            ("a_region_that_does_not_fit", 0, vec![]),
+        ] {
+            let input = End {
+                drift: 12,
+                mark: now,
+                records,
                 chance: 0,
                 happenings,
             };
