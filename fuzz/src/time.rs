@@ -79,7 +79,7 @@ pub fn kept_link(input: &End) {
         return;
     }
     if input.records > 0 {
-        write_record(&mut flash, u32::MAX - 1 - u32::from(input.records));
+        write_record(&mut flash, u32::MAX - u32::from(input.records));
     }
     if input.mark.timestamp() != Timestamp::ZERO {
         flash = begin_at(flash, input.mark.timestamp(), &mut used);

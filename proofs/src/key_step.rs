@@ -268,6 +268,7 @@ mod harness {
 
     /// One call in the state with this number: which it is, is known to the solver, the keys are not.
     fn any_call<const STATE: usize>(call: impl Fn(u8) -> Call) -> Result<(), KeyChangeError> {
+        crate::model::set_checksum(kani::any());
         let (old, new): (u8, u8) = (kani::any(), kani::any());
         kani::assume(old != 0 && new != 0 && old != new);
         let before = states(old, new)[STATE];
@@ -293,8 +294,10 @@ mod harness {
         k1_takes_over_when_settled 0 Call::Apply;
         k1_takes_over_when_offered 1 Call::Apply;
         k1_takes_over_when_applied 3 Call::Apply;
+        k1_takes_over_when_offered_and_heard 2 Call::Apply;
         k1_takes_over_when_heard 4 Call::Apply;
         k1_takes_over_when_confirmed 5 Call::Apply;
+        k1_initiator_goes_over_when_heard 2 |_| Call::Confirm;
         k1_goes_over_when_heard 4 |_| Call::Confirm;
         k1_retires_when_confirmed 5 |_| Call::Retire;
     }

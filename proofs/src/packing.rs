@@ -322,7 +322,6 @@ mod twins {
         }
     }
 
-    /// Every length of a packet behind every other.
     /// A packet of MAVLink 1 that is no HEARTBEAT.
     fn whole(length: usize) -> Vec<u8> {
         let mut packet = vec![0xFE, length as u8, 1, 1, 1, 30];
@@ -342,6 +341,7 @@ mod twins {
         }
     }
 
+    /// Every length of a packet behind every other.
     #[test]
     fn p1_every_length() {
         for first in 0..=80 {
