@@ -36,7 +36,8 @@ enum Verb {
     Firmware(firmware::Options),
     /// Fuzz every target over the properties, and say what that reaches
     Fuzz(fuzz::Options),
-    /// Hold the standard's signature against unmodified peers, message by message and live
+    /// Hold the standard's signature and sealed packages against other implementations, message by message
+    /// and live
     Interop(interop::Options),
     /// Make fresh keys for a sealed link, or check those in a key file
     Keys(keys::Options),
