@@ -41,8 +41,8 @@ impl<H: HeaderFormat> Opened<H> {
         self.header.sender()
     }
 
-    /// Its place among everything that this sender has sealed: the counter, with [`EpochHeader`](crate::EpochHeader) epoch
-    /// and counter.
+    /// Its place among everything that this sender has sealed: the counter; with
+    /// [`EpochHeader`](crate::EpochHeader) epoch and counter.
     pub fn place(&self) -> H::Place {
         self.header.place()
     }
@@ -228,8 +228,9 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// # Errors
     ///
     /// [`OpenError::WrongLength`], [`OpenError::UnknownSender`], [`OpenError::NoCounter`],
-    /// [`OpenError::Stale`] or [`OpenError::StaleInEpoch`], [`OpenError::KeyWornOut`], [`OpenError::BadTag`], looked for in this order, which is
-    /// SMACCMPilot's. Nothing has changed then, except that a wrong tag is counted.
+    /// [`OpenError::Stale`] or [`OpenError::StaleInEpoch`], [`OpenError::KeyWornOut`], [`OpenError::BadTag`],
+    /// looked for in this order, which is SMACCMPilot's. Nothing has changed then, except that a wrong tag is
+    /// counted.
     pub fn open(&mut self, package: &[u8]) -> Result<Opened<H>, OpenError> {
         let Parts {
             header,

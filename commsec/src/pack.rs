@@ -81,7 +81,8 @@ impl Packer {
     /// # Errors
     ///
     /// [`PackError::Parse`], [`PackError::Trailing`]: not one whole packet. [`PackError::TooLong`],
-    /// [`PackError::OldVehicle`]: the packet goes into no message. Refused packets are counted; what is pending stays.
+    /// [`PackError::OldVehicle`]: the packet goes into no message. Refused packets are counted; what is
+    /// pending stays.
     pub fn push(&mut self, packet: &[u8], now: Duration) -> Result<Option<Message>, PackError> {
         let id = self.check(packet).inspect_err(|_| {
             self.refused = self.refused.saturating_add(1);

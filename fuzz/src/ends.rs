@@ -374,8 +374,8 @@ fn adds_up(counters: &Counters, direction: usize, seen: &Seen) {
     }
 }
 
-/// The packages of a run open after all before them with the end's own key, and hold whole packets of the plain side and of
-/// the radio.
+/// The packages of a run open after all before them with the end's own key, and hold whole packets of the
+/// plain side and of the radio.
 fn left(input: &Ends<'_>, plain: &[u8], air: &[u8], last: &mut u32) {
     let mut opener = Opener::<1>::new();
     let key = OWN.prepare().expect("a key");

@@ -171,8 +171,8 @@ pub fn verify_repaired(input: &Packaged<'_>) {
     let _ = verdict(&bytes, receiver, now, tag);
 }
 
-/// The same, whoever asks for the verdict (V1, V2), and given to the relay: from the secure side only what is verified goes on, from the plain
-/// side only what is unsigned (L1).
+/// The same, whoever asks for the verdict (V1, V2), and given to the relay: from the secure side only what
+/// is verified goes on, from the plain side only what is unsigned (L1).
 pub fn relay_packet(input: &Packaged<'_>) {
     let (bytes, _) = input.packet();
     let (now, receiver) = (input.now.timestamp(), input.receiver.into());

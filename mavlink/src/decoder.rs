@@ -169,7 +169,7 @@ pub enum Resync {
     /// packets that are verified afterwards.
     ///
     /// A packet inside the payload of a damaged or unknown one comes out too. Whoever sends bytes
-    /// can make a checksum be computed over up to 267 bytes for every 10 that it sends.
+    /// can make a checksum be computed over up to 264 bytes for every 10 that it sends.
     NextByte,
     /// After the end that it announces: a payload is never taken for packets. For packets that are
     /// trusted because of where they come from. Noise that begins like a packet may cost the

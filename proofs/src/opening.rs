@@ -62,10 +62,11 @@ pub struct Row<I, P> {
 type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Place>>; 2];
 
 /// O1, one step from any state: a package is accepted if and only if it has 96 bytes, its sender is
-/// permitted, its counter (and epoch) is one that senders use, it is newer than the last accepted of him, his key has not had too many wrong tags, and
-/// its tag is right; otherwise the error names the first that is wrong. What is accepted is then the
-/// last of its sender, and the same again is refused; of other senders nothing changes. What is refused
-/// changes nothing, but a wrong tag is counted, once, for everybody who has that key.
+/// permitted, its counter (and epoch) is one that senders use, it is newer than the last accepted of him,
+/// his key has not had too many wrong tags, and its tag is right; otherwise the error names the first that
+/// is wrong. What is accepted is then the last of its sender, and the same again is refused; of other
+/// senders nothing changes. What is refused changes nothing, but a wrong tag is counted, once, for everybody
+/// who has that key.
 ///
 /// Every history is a sequence of such steps, so each package is accepted at most once in every
 /// history. `right` tells whether the cipher takes the tag for right; `shared` whether the second sender

@@ -8,8 +8,9 @@ use mavlink_signing::{
 
 use crate::model::Resumed;
 
-/// V1: [`authenticate`] and [`Replay::admit`](mavlink_signing::Replay::admit) give the verdict of `specified`, which reads the
-/// bytes naively; the payload that comes out is the frame's; what is refused changes nothing.
+/// V1: [`authenticate`] and [`Replay::admit`](mavlink_signing::Replay::admit) give the verdict of
+/// `specified`, which reads the bytes naively; the payload that comes out is the frame's; what is refused
+/// changes nothing.
 ///
 /// `checksum` and `tag` are what the code under test computes, or the models that stand for it.
 /// Returns the verdict.

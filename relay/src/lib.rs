@@ -12,11 +12,13 @@
 //!   refused packet is not searched for packets, so that bytes that somebody else put there are not
 //!   signed: [`Resync::AnnouncedEnd`](mavlink_signing::Resync).
 //! * Secure to plain: only verified frames leave, without signature or whole, and unsigned ones that a
-//!   [policy](Relay::accepting) accepts, if there is one. Everything else is refused and counted by reason. The relay signs nothing that came in on the secure side; where the
-//!   plain side may send back what it receives, hand frames on [whole](Forward::Whole), so that they
-//!   are refused as already signed.
+//!   [policy](Relay::accepting) accepts, if there is one. Everything else is refused and counted by reason.
+//!   The relay signs nothing that came in on the secure side; where the plain side may send back what it
+//!   receives, hand frames on [whole](Forward::Whole), so that they are refused as already signed.
 //! * SETUP_SIGNING, which carries a key, passes in neither direction. What comes for the relay itself on the
 //!   plain side, a cable, it [takes](Relay::take_setup) if it is told to: [`Relay::keep_setup`].
+//!
+//! [`sealed`] is the end of a sealed link, over the same ports.
 //!
 //! # Over a restart
 //!
@@ -41,7 +43,8 @@
 //! that was skipped, the one that a board without a clock is behind, and the rest for frames to come through.
 //! It takes longer if somebody's clock, or last stamp, is ahead of the others: by as much as that is, and, beyond
 //! 60 seconds, which the window takes, twice. Clocks of boards that nobody has told the time go wrong by 2
-//! minutes in a week, with the worst of crystals. `relay/tests/simulation.rs` asserts this in 100,000 histories.
+//! minutes in a week, with the worst of crystals. `relay/tests/simulation.rs` asserts this in 100,000 histories
+//! (`cargo xtask test --all`).
 //!
 //! # A new key
 //!

@@ -1,8 +1,9 @@
 //! A flash memory in RAM for tests: words written once, pages erased, power that fails at any step.
 //!
 //! A cut inside a write leaves the word as it was, whole, with some of its bits written, with bits that
-//! read one time and not the next, or with an ECC that does not fit, so that reading it fails; a cut inside an erase does one of these to every word of
-//! the page. Which of them is drawn from a number that the test gives.
+//! read one time and not the next, or with an ECC that does not fit, so that reading it fails. A cut inside
+//! an erase does one of these to every word of the page. Which of them is drawn from a number that the test
+//! gives.
 
 use core::fmt;
 
