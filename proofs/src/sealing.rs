@@ -302,38 +302,29 @@ mod twins {
 mod harness {
     use super::*;
 
+    // A cipher that fails is for the twins: Kani 0.67 takes the error that `?` hands on in a result as large as
+    // a package's for no error at all, or for another one.
+
     #[kani::proof]
     #[kani::unwind(97)]
     fn n1_package() {
-        let verdict = if kani::any() {
-            Verdict::Right
-        } else {
-            Verdict::Fails
-        };
         let at = kani::any();
         kani::assume(at < MESSAGE_SIZE);
         let numbers: [u32; 3] = kani::any();
-        let last = packages(numbers, verdict, &[kani::any()], at);
+        let last = packages(numbers, Verdict::Right, &[kani::any()], at);
         kani::cover!(last == Ok(u32::MAX - 1), "the last counter of all");
         kani::cover!(last == Err(SealError::CounterExhausted), "exhausted");
-        kani::cover!(last == Err(SealError::Cipher), "a unit that fails");
         kani::cover!(last == Ok(1) && numbers[2] == 0, "resumed at 0");
     }
 
     #[kani::proof]
     #[kani::unwind(97)]
     fn n1_package_of_epoch() {
-        let verdict = if kani::any() {
-            Verdict::Right
-        } else {
-            Verdict::Fails
-        };
         let at = kani::any();
         kani::assume(at < MESSAGE_SIZE);
         let (salt, id, mark) = (kani::any(), kani::any(), kani::any());
-        let last = packages_of_epoch(salt, id, mark, verdict, &[kani::any()], at);
+        let last = packages_of_epoch(salt, id, mark, Verdict::Right, &[kani::any()], at);
         kani::cover!(last == Ok(Ok(1)) && mark == 0xFFFE, "the last epoch of all");
         kani::cover!(last == Err(EpochError) && mark == 0x1_0000, "no epoch");
-        kani::cover!(last == Ok(Err(SealError::Cipher)), "a unit that fails");
     }
 }

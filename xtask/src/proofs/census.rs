@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use cargo_metadata::{Metadata, MetadataCommand};
 
 use super::{
-    fingerprint::{Depth, fingerprint, hash_of},
+    fingerprint::{Depth, fingerprint, hash_of, of_module},
     plan::{Canary, Mutant, Plan, Property, id_of},
     scan::{Found, Harness},
 };
@@ -24,8 +24,10 @@ pub(crate) struct Project {
     pub(crate) mutants: Vec<Mutant>,
     pub(crate) found: Found,
     pub(crate) metadata: Metadata,
-    /// For each package with harnesses or twins: what proofs and what tests depend on.
-    prints: BTreeMap<String, [String; 2]>,
+    /// For each package with twins: what they depend on.
+    tests: BTreeMap<String, String>,
+    /// The same for each package and module with harnesses.
+    proofs: BTreeMap<(String, String), String>,
 }
 
 /// Twins that one call of `cargo test` runs.
@@ -54,30 +56,34 @@ impl Project {
                 found.scan(&package.name, folder.as_std_path())?;
             }
         }
-        let harnesses = found.harnesses.iter().map(|harness| &harness.package);
-        let packages: BTreeSet<_> = harnesses
-            .chain(found.twins.iter().map(|twin| &twin.package))
-            .collect();
-        let mut prints = BTreeMap::new();
-        for package in packages {
-            let print = |depth| fingerprint(&metadata, package, depth);
-            let both = [print(Depth::Proof)?, print(Depth::Tests)?];
-            prints.insert(package.clone(), both);
+        let mut tests = BTreeMap::new();
+        for package in found.twins.iter().map(|twin| &twin.package) {
+            if !tests.contains_key(package) {
+                let print = fingerprint(&metadata, package, Depth::Tests)?;
+                tests.insert(package.clone(), print);
+            }
+        }
+        let mut proofs = BTreeMap::new();
+        for harness in &found.harnesses {
+            let of = place(harness);
+            if !proofs.contains_key(&of) {
+                let print = of_module(&metadata, &of.0, Depth::Proof, Some(&of.1))?;
+                proofs.insert(of, print);
+            }
         }
         Ok(Self {
             plan: Plan::load(root)?,
             mutants: Mutant::load_all(root)?,
             found,
             metadata,
-            prints,
+            tests,
+            proofs,
         })
     }
 
     /// Hash of what a result of `harness` depends on.
     pub(crate) fn sources(&self, harness: &Harness) -> &str {
-        self.prints
-            .get(&harness.package)
-            .map_or("", |[proof, _]| proof)
+        self.proofs.get(&place(harness)).map_or("", String::as_str)
     }
 
     /// Hashes of what decides whether the harnesses, and whether the twins, notice `mutant`.
@@ -86,8 +92,8 @@ impl Project {
         let [mut harnesses, mut twins] = [change.clone(), change];
         let kills = mutant.kills.iter();
         let proving = kills.filter_map(|name| self.found.harness(name));
-        let packages: BTreeSet<_> = proving.map(|h| h.package.as_str()).collect();
-        for [proof, _] in packages.iter().filter_map(|&name| self.prints.get(name)) {
+        let places: BTreeSet<_> = proving.map(place).collect();
+        for proof in places.iter().filter_map(|place| self.proofs.get(place)) {
             harnesses += proof;
         }
         let mut packages = BTreeSet::new();
@@ -98,7 +104,7 @@ impl Project {
                 twins += &fs::read_to_string(self.metadata.workspace_root.join(file))?;
             }
         }
-        for [_, tests] in packages.iter().filter_map(|&name| self.prints.get(name)) {
+        for tests in packages.iter().filter_map(|&name| self.tests.get(name)) {
             twins += tests;
         }
         Ok([hash_of(&harnesses), hash_of(&twins)])
@@ -235,4 +241,9 @@ impl Project {
 fn repeated<'a>(names: impl Iterator<Item = &'a str>) -> impl Iterator<Item = &'a str> {
     let mut seen = BTreeSet::new();
     names.filter(move |name| !seen.insert(*name))
+}
+/// The package and the module that `harness` is in.
+fn place(harness: &Harness) -> (String, String) {
+    let module = harness.path.split("::").next().unwrap_or_default();
+    (harness.package.clone(), module.to_owned())
 }

@@ -49,6 +49,19 @@ impl Depth {
 /// # Errors
 /// If a file cannot be read or is no Rust.
 pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> Result<String> {
+    of_module(metadata, package, depth, None)
+}
+
+/// The same for the harnesses in one module of `package`: those of others have no influence on them.
+///
+/// # Errors
+/// As [`fingerprint`].
+pub(crate) fn of_module(
+    metadata: &Metadata,
+    package: &str,
+    depth: Depth,
+    module: Option<&str>,
+) -> Result<String> {
     let root = metadata.workspace_root.as_std_path();
     let mut hash = Hash::new();
     let mut add = |name: &str, content: &[u8]| {
@@ -76,7 +89,14 @@ pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> R
             }
             for file in rust_files(&folder.join(part))? {
                 let name = file.strip_prefix(root).unwrap_or(&file).to_string_lossy();
-                add(&name, meaning(&file, depth)?.as_bytes());
+                let own =
+                    module.is_none_or(|module| ours && file.ends_with(format!("{module}.rs")));
+                let meaning = if own {
+                    meaning(&file, depth)?
+                } else {
+                    meaning_without_harnesses(&file, depth)?
+                };
+                add(&name, meaning.as_bytes());
             }
         }
     }
@@ -181,18 +201,27 @@ fn declared(package: &cargo_metadata::Package) -> Value {
 /// # Errors
 /// If it cannot be read or is no Rust.
 pub(crate) fn meaning(file: &Path, depth: Depth) -> Result<String> {
-    let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
-    let tokens: TokenStream = text
-        .parse()
-        .map_err(|error| anyhow!("{}: {error}", file.display()))?;
     let mut meaning = String::new();
-    write(tokens, depth, &mut meaning);
+    write(tokens(file)?, depth, true, &mut meaning);
     Ok(meaning)
+}
+
+/// The same without its module `harness`, which nothing else can reach.
+fn meaning_without_harnesses(file: &Path, depth: Depth) -> Result<String> {
+    let mut meaning = String::new();
+    write(tokens(file)?, depth, false, &mut meaning);
+    Ok(meaning)
+}
+
+fn tokens(file: &Path) -> Result<TokenStream> {
+    let text = fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    text.parse()
+        .map_err(|error| anyhow!("{}: {error}", file.display()))
 }
 
 /// Appends `tokens`, with the attributes left out that are documentation or mark what is not run, and
 /// then what they mark.
-fn write(tokens: TokenStream, depth: Depth, out: &mut String) {
+fn write(tokens: TokenStream, depth: Depth, harnesses: bool, out: &mut String) {
     let mut tokens = tokens.into_iter().peekable();
     while let Some(token) = tokens.next() {
         if token.to_string() == "#" {
@@ -203,7 +232,13 @@ fn write(tokens: TokenStream, depth: Depth, out: &mut String) {
                     tokens.next();
                     continue;
                 }
-                if depth.leaves_out(&text) && inner.is_none() {
+                let of_harnesses = || {
+                    let words = tokens.clone().skip(1).take(2);
+                    words.map(|word| word.to_string()).eq(["mod", "harness"])
+                };
+                let left_out = depth.leaves_out(&text)
+                    || (!harnesses && text == "[cfg(kani)]" && of_harnesses());
+                if left_out && inner.is_none() {
                     skip_item(&mut tokens);
                     continue;
                 }
@@ -213,7 +248,7 @@ fn write(tokens: TokenStream, depth: Depth, out: &mut String) {
             TokenTree::Group(group) => {
                 let text = format!("{:?}(", group.delimiter());
                 out.push_str(&text);
-                write(group.stream(), depth, out);
+                write(group.stream(), depth, harnesses, out);
                 out.push(')');
             }
             other => out.push_str(&other.to_string()),
@@ -238,8 +273,21 @@ mod tests {
 
     fn meaning(text: &str, depth: Depth) -> String {
         let mut out = String::new();
-        write(text.parse().expect("Rust"), depth, &mut out);
+        write(text.parse().expect("Rust"), depth, true, &mut out);
         out
+    }
+
+    #[test]
+    fn harnesses_of_other_modules_have_no_influence() {
+        let other = |text: &str| {
+            let mut out = String::new();
+            write(text.parse().expect("Rust"), Depth::Proof, false, &mut out);
+            out
+        };
+        let text = "fn a() {} #[cfg(kani)] mod harness { fn k() {} } #[cfg(kani)] fn any() {}";
+        assert_eq!(other(text), other("fn a() {} #[cfg(kani)] fn any() {}"));
+        assert_ne!(other(text), other("fn a() {}"));
+        assert_ne!(other(text), meaning(text, Depth::Proof));
     }
 
     #[test]
