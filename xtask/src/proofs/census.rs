@@ -64,12 +64,9 @@ impl Project {
             }
         }
         let mut proofs = BTreeMap::new();
-        for harness in &found.harnesses {
-            let of = place(harness);
-            if !proofs.contains_key(&of) {
-                let print = of_module(&metadata, &of.0, Depth::Proof, Some(&of.1))?;
-                proofs.insert(of, print);
-            }
+        for (package, module) in found.harnesses.iter().map(place).collect::<BTreeSet<_>>() {
+            let print = of_module(&metadata, &package, Depth::Proof, Some(&module))?;
+            proofs.insert((package, module), print);
         }
         Ok(Self {
             plan: Plan::load(root)?,
