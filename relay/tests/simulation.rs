@@ -766,7 +766,7 @@ fn links_come_back_and_nothing_is_used_twice() {
 }
 
 #[test]
-#[ignore = "two minutes, optimised: 100,000 histories"]
+#[ignore = "a minute, optimised; `cargo xtask test --all` runs it"]
 fn links_come_back_and_nothing_is_used_twice_in_100_000_histories() {
     run(0..100_000);
 }

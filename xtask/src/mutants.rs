@@ -25,8 +25,8 @@ use crate::proofs::{
 use crate::setup::root;
 use outcome::{Results, Survivors};
 
-/// The packages that are changed, and those that have the tests.
-const CORES: [&str; 4] = [
+/// The cores, which are changed, and the packages that have the tests.
+pub(crate) const CORES: [&str; 4] = [
     "mavlink-signing",
     "mavlink-commsec",
     "mavseal-store",

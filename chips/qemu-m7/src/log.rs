@@ -1,5 +1,9 @@
 //! Equal news in a row as one.
 
+use mavseal_relay::Direction;
+
+use crate::info;
+
 /// What was said last, and how often in a row.
 ///
 /// A line takes longer than a frame: one for each refusal would let whoever floods one direction stall
@@ -29,4 +33,10 @@ impl<T: PartialEq> Runs<T> {
     pub fn take(&mut self) -> Option<(T, u32)> {
         self.0.take()
     }
+}
+
+/// Logs so many refusals in a row.
+pub fn log_refused(direction: Direction, reason: &str, times: u32) {
+    info!("{} refused: {}, {} times", direction, reason, times);
+    let _ = (direction, reason, times);
 }

@@ -5,17 +5,14 @@ use mavseal_keys::{Header, KeyFile, Who};
 
 use crate::{KEYS_MK, PUBLISHED};
 
-#[allow(missing_docs)]
 mod vehicle {
     include!("vehicle.rs");
 }
 
-#[allow(missing_docs)]
 mod station {
     include!("station.rs");
 }
 
-#[allow(missing_docs)]
 mod epoch_vehicle {
     include!("epoch_vehicle.rs");
 }

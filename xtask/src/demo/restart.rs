@@ -2,7 +2,7 @@
 
 use std::{path::Path, time::Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 
 use super::{
     Act, BEHIND, Came, Demo, Direction, EACH, LINK_IN, LINK_OUT, PATIENCE, TICKS_PER_SECOND,
@@ -124,8 +124,8 @@ impl Play {
         let half = |frame: &Frame| frame[..frame.len() / 2].to_vec();
         let into_plain = half(&self.telemetry[0]);
         let into_secure = half(&self.recorded[0]);
-        self.send_to_plain_side(&into_plain, 0)?;
-        self.send_to_secure_side(&into_secure, 0)?;
+        self.send_to_plain_side(into_plain, 0)?;
+        self.send_to_secure_side(into_secure, 0)?;
         self.demo.machine.reset()?;
         self.reset_at = Instant::now();
         self.runs += 1;
@@ -140,20 +140,20 @@ impl Play {
         }
     }
 
-    fn send_to_plain_side(&mut self, stream: &[u8], expected: usize) -> Result<Came> {
+    fn send_to_plain_side(&mut self, stream: Vec<u8>, expected: usize) -> Result<Came> {
         exchange(
             &mut self.demo.plain,
             &mut self.demo.secure,
-            stream.to_vec(),
+            stream,
             expected,
         )
     }
 
-    fn send_to_secure_side(&mut self, stream: &[u8], expected: usize) -> Result<Came> {
+    fn send_to_secure_side(&mut self, stream: Vec<u8>, expected: usize) -> Result<Came> {
         exchange(
             &mut self.demo.secure,
             &mut self.demo.plain,
-            stream.to_vec(),
+            stream,
             expected,
         )
     }
@@ -166,7 +166,7 @@ impl Play {
 
     /// Frames from the plain side are signed with `key`, each stamp greater than all before any restart.
     fn signs(&mut self, name: &'static str, key: &[u8]) -> Result<()> {
-        let came = self.send_to_plain_side(&self.telemetry.concat(), self.telemetry.len())?;
+        let came = self.send_to_plain_side(self.telemetry.concat(), self.telemetry.len())?;
         for (at, frame) in came.frames.iter().enumerate() {
             let ticks = wire::ticks(frame);
             if ticks <= self.last {
@@ -203,7 +203,7 @@ impl Play {
     /// New frames of the peer, with `key`, come through.
     fn hears(&mut self, name: &'static str, key: &[u8]) -> Result<()> {
         let frames = self.peer_frames(EACH, key);
-        let came = self.send_to_secure_side(&frames.concat(), EACH)?;
+        let came = self.send_to_secure_side(frames.concat(), EACH)?;
         if came.frames != self.telemetry[..EACH] {
             self.fail(format!("{name}: other frames came than the peer sent"));
         }
@@ -219,7 +219,7 @@ impl Play {
         frames: &[Frame],
         why: &'static str,
     ) -> Result<()> {
-        let came = self.send_to_secure_side(&frames.concat(), 0)?;
+        let came = self.send_to_secure_side(frames.concat(), 0)?;
         if !came.frames.is_empty() {
             self.fail(format!("{name}: {} came through", came.frames.len()));
         }
@@ -249,14 +249,18 @@ impl Play {
     }
 
     /// Frames of the peer, one at a time, until one comes through, which must be soon enough.
+    ///
+    /// While the firmware starts, a frame may come through only when the next ones are sent: the last
+    /// ones then came.
     fn is_back(&mut self, key: &[u8]) -> Result<()> {
-        let mut deaf = 0;
+        let mut sent = Vec::new();
         loop {
             let frame = self.peer_frames(1, key);
-            let came = self.send_to_secure_side(&frame.concat(), 0)?;
+            let came = self.send_to_secure_side(frame.concat(), 0)?;
             let seconds = self.reset_at.elapsed().as_secs_f32();
-            if came.frames.is_empty() {
-                deaf += 1;
+            sent.extend(frame);
+            let above = came.frames.len();
+            if above == 0 {
                 ensure!(
                     seconds < 2.0 * PROMISED,
                     "deaf for {seconds:.1} s after a restart"
@@ -267,10 +271,13 @@ impl Play {
                 self.fail(format!("deaf for {seconds:.1} s after a restart"));
             }
             self.back_after.push(seconds);
+            let Some(deaf) = sent.len().checked_sub(above) else {
+                bail!("{above} frames came of {} that were sent", sent.len());
+            };
             self.secure
                 .push(refused("new, below the mark", deaf, "replayed"));
-            self.secure.push(passed("the first above it", 1, 1));
-            self.recorded.extend(frame);
+            self.secure.push(passed("above it", above, above));
+            self.recorded.extend(sent.split_off(deaf));
             return Ok(());
         }
     }
@@ -284,7 +291,7 @@ impl Play {
         frame.extend(key);
         frame.extend([0; 2]);
         wire::repair(&mut frame);
-        let came = self.send_to_plain_side(&frame, 0)?;
+        let came = self.send_to_plain_side(frame, 0)?;
         if !came.frames.is_empty() {
             self.fail("SETUP_SIGNING went on to the radio".into());
         }

@@ -5,7 +5,9 @@
 
 use cortex_m_rt::entry;
 use mavlink_signing::{KeyChangeError, Keys, Phase, Source, TICKS_PER_SECOND, Timestamp};
-use mavseal_qemu_m7::{Board, Flash, Overrun, PAGE_SIZE, WallClock, exit, info, warn};
+use mavseal_qemu_m7::{
+    Board, Flash, Overrun, PAGE_SIZE, Runs, WallClock, exit, info, log_refused, warn,
+};
 use mavseal_relay::{
     BehindMark, Clock, Counters, Direction, Event, Forward, Kept, KeySlots, PortError, Refusal,
     Relay,
@@ -164,43 +166,17 @@ fn tell<T: FnMut() -> u64>(kept: &mut Memory<T>) -> u64 {
     ticks
 }
 
-/// Logs refusals, equal ones in a row as one line, and the counters when the lines have gone quiet.
-///
-/// A line takes longer than a frame: one for each would let whoever floods one direction stall the
-/// other.
+/// Logs refusals, and the counters when the lines have gone quiet.
 #[derive(Default)]
 struct Log {
-    refused: Option<(Direction, Refusal, u32)>,
+    refused: Runs<(Direction, Refusal)>,
     moved: Option<Timestamp>,
 }
 
 impl Log {
     fn event(&mut self, event: Event) {
-        let Event::Refused(direction, refusal) = event else {
-            return;
-        };
-        match &mut self.refused {
-            Some((last_direction, last_refusal, times))
-                if (*last_direction, *last_refusal) == (direction, refusal) =>
-            {
-                *times = times.saturating_add(1);
-            }
-            _ => {
-                self.flush();
-                self.refused = Some((direction, refusal, 1));
-            }
-        }
-    }
-
-    fn flush(&mut self) {
-        if let Some((direction, refusal, times)) = self.refused.take() {
-            info!(
-                "{} refused: {}, {} times",
-                direction,
-                refusal.as_str(),
-                times
-            );
-            let _ = (direction, refusal, times);
+        if let Event::Refused(direction, refusal) = event {
+            log_run(self.refused.push((direction, refusal)));
         }
     }
 
@@ -209,10 +185,16 @@ impl Log {
             self.moved = Some(now);
         } else if self.moved.is_some_and(|last| now.ticks_since(last) > QUIET) {
             self.moved = None;
-            self.flush();
+            log_run(self.refused.take());
             log_counters("signed", relay.plain_to_secure());
             log_counters("verified", relay.secure_to_plain());
         }
+    }
+}
+
+fn log_run(run: Option<((Direction, Refusal), u32)>) {
+    if let Some(((direction, refusal), times)) = run {
+        log_refused(direction, refusal.as_str(), times);
     }
 }
 

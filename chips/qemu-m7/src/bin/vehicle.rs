@@ -8,7 +8,9 @@ use core::time::Duration;
 use cortex_m_rt::entry;
 use heapless::Vec;
 use mavlink_signing::TICKS_PER_SECOND;
-use mavseal_qemu_m7::{Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, warn};
+use mavseal_qemu_m7::{
+    Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, log_refused, warn,
+};
 use mavseal_relay::Direction;
 use mavseal_relay::sealed::{Counters, End, Event, Marks, Radio, Refusal};
 use mavseal_store::{Mark, Region};
@@ -112,7 +114,7 @@ impl Log {
         self.news = Some(now);
         match event {
             Event::Refused(direction, refusal) => {
-                log_refused(self.refused.push((direction, refusal)));
+                log_run(self.refused.push((direction, refusal)));
             }
             Event::Opened(sender) => {
                 let mut opened = PEERS.iter().zip(&mut self.opened);
@@ -131,7 +133,7 @@ impl Log {
             .is_some_and(|last| now.saturating_sub(last) > QUIET);
         if quiet {
             self.news = None;
-            log_refused(self.refused.take());
+            log_run(self.refused.take());
         }
         quiet
     }
@@ -144,15 +146,9 @@ impl Log {
     }
 }
 
-fn log_refused(run: Option<((Direction, Refusal), u32)>) {
+fn log_run(run: Option<((Direction, Refusal), u32)>) {
     if let Some(((direction, refusal), times)) = run {
-        info!(
-            "{} refused: {}, {} times",
-            direction,
-            refusal.as_str(),
-            times
-        );
-        let _ = (direction, refusal, times);
+        log_refused(direction, refusal.as_str(), times);
     }
 }
 
