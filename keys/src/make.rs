@@ -12,10 +12,13 @@ impl KeyFile {
     ///
     /// [`KeyFileError::StationCount`], [`KeyFileError::Random`].
     pub fn generate(stations: usize) -> Result<Self, KeyFileError> {
+        // Before any number of them is made.
+        if stations > crate::MAX_STATIONS {
+            return Err(KeyFileError::StationCount(stations));
+        }
         let vehicle = fresh(0)?;
-        // One more than are possible is enough to be refused.
-        let ids = (1..).take(stations.min(crate::MAX_STATIONS + 1));
-        let senders = ids.map(fresh).collect::<Result<Vec<_>, _>>()?;
+        let senders = (1..).take(stations).map(fresh);
+        let senders = senders.collect::<Result<Vec<_>, _>>()?;
         Self::checked(vehicle, senders, Exceptions::default())
     }
 }

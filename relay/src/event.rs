@@ -1,8 +1,7 @@
 //! What became of each packet, and how often.
 
-use core::fmt;
-
 use mavlink_signing::{DecodeError, MessageId, Packet, ParseError, SignError, VerifyError};
+use strum::{Display, IntoStaticStr, VariantArray};
 
 /// The way a packet was going.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,106 +14,69 @@ pub enum Direction {
 }
 
 /// Why a packet was not passed on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Display, IntoStaticStr, VariantArray, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-#[repr(u8)]
 pub enum Refusal {
     /// A MAVLink 1 packet: it has no place for a signature.
+    #[strum(serialize = "MAVLink 1")]
     Mavlink1,
     /// SETUP_SIGNING: it carries a key.
+    #[strum(serialize = "SETUP_SIGNING")]
     SetupSigning,
     /// Unknown incompatibility flags.
+    #[strum(serialize = "unknown flags")]
     UnknownIncompatFlags,
     /// A message that the dialect does not define.
+    #[strum(serialize = "unknown message")]
     UnknownMessage,
     /// Damaged on its way here.
+    #[strum(serialize = "bad checksum")]
     BadChecksum,
     /// To be signed, but signed already.
+    #[strum(serialize = "already signed")]
     AlreadySigned,
     /// To be signed, but the link's timestamps are used up.
+    #[strum(serialize = "clock exhausted")]
     ClockExhausted,
     /// To be verified, but not signed.
+    #[strum(serialize = "not signed")]
     NotSigned,
     /// Signed with another key, or forged.
+    #[strum(serialize = "bad tag")]
     BadTag,
     /// Authentic, but made for another link; with [`Replay`](mavlink_signing::Replay) also one's own
     /// frames, reflected.
+    #[strum(serialize = "wrong link")]
     WrongLink,
     /// Authentic, but stamped later than the window allows.
+    #[strum(serialize = "from the future")]
     FromFuture,
     /// Authentic, but stamped earlier than the window allows.
+    #[strum(serialize = "too old")]
     TooOld,
     /// Authentic, but not newer than the last accepted frame.
+    #[strum(serialize = "replayed")]
     Replayed,
     /// Authentic, but of a new stream, for which the receiver has no row left.
+    #[strum(serialize = "streams full")]
     StreamsFull,
     /// To be signed, or authentic and in order, but no mark above its stamp can be stored.
+    #[strum(serialize = "not stored")]
     NotStored,
     /// An error that this version of the relay does not know.
+    #[strum(serialize = "other")]
     Other,
 }
 
 impl Refusal {
     /// Every reason, in the order of [`Refusal`]'s definition.
-    pub const ALL: [Self; 16] = [
-        Self::Mavlink1,
-        Self::SetupSigning,
-        Self::UnknownIncompatFlags,
-        Self::UnknownMessage,
-        Self::BadChecksum,
-        Self::AlreadySigned,
-        Self::ClockExhausted,
-        Self::NotSigned,
-        Self::BadTag,
-        Self::WrongLink,
-        Self::FromFuture,
-        Self::TooOld,
-        Self::Replayed,
-        Self::StreamsFull,
-        Self::NotStored,
-        Self::Other,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// The reason in a few words, as in tables.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Mavlink1 => "MAVLink 1",
-            Self::SetupSigning => "SETUP_SIGNING",
-            Self::UnknownIncompatFlags => "unknown flags",
-            Self::UnknownMessage => "unknown message",
-            Self::BadChecksum => "bad checksum",
-            Self::AlreadySigned => "already signed",
-            Self::ClockExhausted => "clock exhausted",
-            Self::NotSigned => "not signed",
-            Self::BadTag => "bad tag",
-            Self::WrongLink => "wrong link",
-            Self::FromFuture => "from the future",
-            Self::TooOld => "too old",
-            Self::Replayed => "replayed",
-            Self::StreamsFull => "streams full",
-            Self::NotStored => "not stored",
-            Self::Other => "other",
-        }
-    }
-}
-
-// The counters have a place for each reason, at its discriminant.
-const _: () = {
-    let mut rest: &[Refusal] = &Refusal::ALL;
-    let mut expected = 0;
-    while let [reason, others @ ..] = rest {
-        assert!(*reason as usize == expected);
-        expected += 1;
-        rest = others;
-    }
-    assert!(Refusal::Other as usize + 1 == expected);
-};
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 }
 
@@ -259,7 +221,7 @@ impl Counters {
 
     /// Every reason and how often it was given.
     pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
-        Refusal::ALL.into_iter().zip(self.refused)
+        Refusal::ALL.iter().copied().zip(self.refused)
     }
 
     pub(crate) const fn set_dropped(&mut self, dropped: u32) {

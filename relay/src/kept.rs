@@ -158,11 +158,6 @@ impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
         Ok(self.clock.tell(source, time, now))
     }
 
-    /// What the timer shows, in ticks of 10 microseconds.
-    pub fn timer(&mut self) -> u64 {
-        (self.timer)()
-    }
-
     /// Whether the clock knows the time.
     pub fn sync(&mut self) -> Sync {
         let now = (self.timer)();
@@ -203,6 +198,12 @@ impl<F: NorFlash, T: FnMut() -> u64> Timekeeper for Kept<F, T> {
     fn heard(&mut self, frame: &Verified<'_>) {
         let now = (self.timer)();
         self.clock.heard(frame, now);
+    }
+}
+
+impl<F: NorFlash, T: FnMut() -> u64> crate::Clock for Kept<F, T> {
+    fn timer(&mut self) -> u64 {
+        (self.timer)()
     }
 }
 

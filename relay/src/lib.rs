@@ -109,7 +109,6 @@ pub use kept::{BehindMark, FIRST_RESERVATION, Kept, KeptError};
 /// Where the relay takes the time from, and where it keeps its mark.
 ///
 /// Without [`Kept`], it must be shared with the peer as closely as the [`Replay`]'s window asks for.
-pub use mavlink_signing::Timekeeper as Clock;
 pub use port::PortError;
 pub use slots::{KEYS_SIZE, KeySlots};
 
@@ -117,13 +116,36 @@ use core::fmt;
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Admit, Keys, Profile, Refuse, Replay, SetupSigning, Stamper, TICKS_PER_SECOND, UnsignedPolicy,
+    Admit, Keys, Profile, Refuse, Replay, SetupSigning, Stamper, TICKS_PER_SECOND, Timekeeper,
+    Timestamp, UnsignedPolicy,
 };
 use pump::Pump;
 
 /// Silence on a line after which a packet that has begun is given up, unless
 /// [said otherwise](Relay::idle): 100 milliseconds, in ticks of 10 microseconds.
 pub const IDLE: u64 = TICKS_PER_SECOND / 10;
+
+/// The time of one end, to stamp and to judge by, and a timer to measure silence with.
+///
+/// Any `FnMut() -> Timestamp` is both, for a time that nobody sets, and so is a [`Timestamp`], which stands
+/// still.
+pub trait Clock: Timekeeper {
+    /// What a timer shows that nobody sets, in ticks of 10 microseconds: unlike the time, it does not leap
+    /// when somebody tells it, or a frame does.
+    fn timer(&mut self) -> u64;
+}
+
+impl<F: FnMut() -> Timestamp> Clock for F {
+    fn timer(&mut self) -> u64 {
+        self().ticks()
+    }
+}
+
+impl Clock for Timestamp {
+    fn timer(&mut self) -> u64 {
+        self.ticks()
+    }
+}
 
 /// A port that can be polled.
 pub trait Port: Read + ReadReady + Write + WriteReady {}

@@ -65,7 +65,7 @@ pub(crate) fn send<InputError, Output: Write + WriteReady>(
 #[derive(Debug)]
 pub(crate) struct Intake {
     decoder: Decoder,
-    /// When the line was last not silent, in ticks; `None` when nothing has come since it was.
+    /// When the line was last not silent, in ticks of the timer; `None` when nothing has come since it was.
     heard: Option<u64>,
 }
 

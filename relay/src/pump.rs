@@ -1,12 +1,12 @@
 //! One direction: bytes in, packets treated, frames out, without waiting.
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Frame, FrameRef, Keys, Profile, Timekeeper};
+use mavlink_signing::{Frame, FrameRef, Keys, Profile};
 
-use crate::Link;
 use crate::direction::Treat;
 use crate::event::{Counters, Event, Offender};
 use crate::port::{Intake, PortError, send};
+use crate::{Clock, Link};
 
 /// A direction of the relay.
 #[derive(Debug)]
@@ -67,10 +67,10 @@ impl<T: Treat> Pump<T> {
         input: &mut Input,
         output: &mut Output,
         link: &mut Link<P>,
-        clock: &mut impl Timekeeper,
+        clock: &mut impl Clock,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let now = clock.now().ticks();
+        let now = clock.timer();
         let sent = self.send(output)?;
         if sent || self.sending.is_some() {
             self.intake.not_read(now);
@@ -105,7 +105,7 @@ impl<T: Treat> Pump<T> {
     fn treat_next<P: Profile>(
         &mut self,
         keys: &mut Keys<P>,
-        clock: &mut impl Timekeeper,
+        clock: &mut impl Clock,
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let decoded = self.intake.read();

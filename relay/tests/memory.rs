@@ -6,7 +6,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
     Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChangeError, KeyError, KeyStore, Keys, MessageId,
     NotStored, Phase, RESERVATION, Replay, SetupSigning, SignError, SigningKey, Source, Stamp,
-    Stamper, Sync, Timestamp, VerifyError, Window, sign_frame,
+    Stamper, Sync, Timekeeper, Timestamp, VerifyError, Window, sign_frame,
 };
 use mavseal_relay::{
     BehindMark, Clock, FIRST_RESERVATION, Forward, Kept, KeptError, KeySlots, Refusal, Relay,
@@ -133,6 +133,29 @@ where
     let key = SigningKey::new(&KEY).expect("a key");
     let receiver = Replay::resume(LINK_IN, Window::LINK, kept.floor());
     Relay::new(key, kept.stamper(LINK_OUT), receiver, Forward::Stripped).expect("two links")
+}
+
+#[test]
+fn a_clock_that_leaps_is_no_silence() {
+    let mut kept = Kept::new(Flash::<2>::default(), REGION, || 1000).expect("a flash");
+    let mut relay = relay(&kept);
+    let (mut plain, mut secure) = (Line::default(), Line::default());
+    let packet = Frame::new(header(), &[1]).expect("a heartbeat");
+    let (first, second) = packet.as_bytes().split_at(6);
+    let from_the_peer = signed(NOW);
+    let mut turn = |from_plain: &[u8], from_secure: &[u8]| {
+        plain.input.extend(from_plain);
+        secure.input.extend(from_secure);
+        while relay
+            .poll(&mut plain, &mut secure, &mut kept, &mut |_| ())
+            .moved()
+        {}
+        relay.plain_to_secure().passed()
+    };
+    assert_eq!(turn(first, &[]), 0);
+    assert_eq!(turn(&[], from_the_peer.as_bytes()), 0);
+    assert_eq!(turn(second, &[]), 1);
+    assert!(kept.now() > at(NOW / 2), "the frame has told the time");
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Wall-clock time: the host's, asked once over semihosting, then the board's timer.
 
 use mavlink_signing::{TICKS_PER_SECOND, Timestamp};
-use mavseal_relay::Clock;
 use semihosting::sys::arm_compat::sys_time;
 use volatile_register::RW;
 
@@ -104,10 +103,9 @@ impl WallClock {
             uptime: Uptime::new(timer),
         })
     }
-}
 
-impl Clock for WallClock {
-    fn now(&mut self) -> Timestamp {
+    /// The time of day.
+    pub fn now(&mut self) -> Timestamp {
         self.start.saturating_add(self.uptime.ticks())
     }
 }

@@ -403,7 +403,7 @@ fn fresh_keys() {
     let other = KeyFile::generate(3).expect("random bytes");
     assert_ne!(other.vehicle().key, file.vehicle().key);
     assert_ne!(other.vehicle().salt, file.vehicle().salt);
-    for count in [0, MAX_STATIONS + 1] {
+    for count in [0, MAX_STATIONS + 1, 1000] {
         let made = KeyFile::generate(count);
         assert!(matches!(made, Err(KeyFileError::StationCount(n)) if n == count));
     }

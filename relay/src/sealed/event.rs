@@ -1,7 +1,5 @@
 //! What became of packets, packages and frames at one end of a sealed link, and how often.
 
-use core::fmt;
-
 use mavlink_commsec::radio::Status;
 use mavlink_commsec::{
     DecodeError as FrameDecodeError, OpenError, PackError, RadioError, SealError, SenderId,
@@ -9,125 +7,88 @@ use mavlink_commsec::{
 };
 use mavlink_signing::{DecodeError, ParseError};
 use mavseal_store::ReserveError;
+use strum::{Display, IntoStaticStr, VariantArray};
 
 use crate::event::Direction;
 
 /// Why something was not passed on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Display, IntoStaticStr, VariantArray, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-#[repr(u8)]
 pub enum Refusal {
     /// A packet with unknown incompatibility flags.
+    #[strum(serialize = "unknown flags")]
     UnknownIncompatFlags,
     /// A packet with a message that the dialect does not define.
+    #[strum(serialize = "unknown message")]
     UnknownMessage,
     /// A packet that was damaged on its way here.
+    #[strum(serialize = "bad checksum")]
     BadChecksum,
     /// A packet with more bytes than fit into a message.
+    #[strum(serialize = "longer than a message")]
     TooLong,
     /// A message to be sealed, but all counters of the key are used up.
+    #[strum(serialize = "counter exhausted")]
     CounterExhausted,
     /// A message to be sealed, and the cipher failed.
+    #[strum(serialize = "cipher failed")]
     CipherFailed,
     /// A message to be sealed or just opened, but no mark above its counter can be stored.
+    #[strum(serialize = "not stored")]
     NotStored,
     /// A frame without content.
+    #[strum(serialize = "empty frame")]
     EmptyFrame,
     /// A frame with more content than there may be.
+    #[strum(serialize = "frame too long")]
     LongFrame,
     /// A frame that ends in an escape.
+    #[strum(serialize = "cut escape")]
     CutEscape,
     /// A frame with an unknown tag.
+    #[strum(serialize = "unknown tag")]
     UnknownTag,
     /// Air data that is no package.
+    #[strum(serialize = "wrong length")]
     WrongLength,
     /// A package that claims to be from somebody who is not permitted.
+    #[strum(serialize = "unknown sender")]
     UnknownSender,
+    /// A package with the counter that no sender uses.
+    #[strum(serialize = "no counter")]
+    NoCounter,
     /// A package that is not newer than the last of its sender, or from before a restart.
+    #[strum(serialize = "stale")]
     Stale,
     /// A package of a sender for whose key too many packages with a wrong tag have come.
+    #[strum(serialize = "key worn out")]
     KeyWornOut,
     /// A package sealed with another key, damaged, or forged.
+    #[strum(serialize = "bad tag")]
     BadTag,
     /// What is left of an opened message, which is no packet.
+    #[strum(serialize = "no packet")]
     NoPacket,
     /// Radio data that is no status.
+    #[strum(serialize = "no status")]
     NoStatus,
     /// A status that was not asked for.
+    #[strum(serialize = "not asked")]
     NotAsked,
     /// An error that this version does not know.
+    #[strum(serialize = "other")]
     Other,
 }
 
 impl Refusal {
     /// Every reason, in the order of [`Refusal`]'s definition.
-    pub const ALL: [Self; 20] = [
-        Self::UnknownIncompatFlags,
-        Self::UnknownMessage,
-        Self::BadChecksum,
-        Self::TooLong,
-        Self::CounterExhausted,
-        Self::CipherFailed,
-        Self::NotStored,
-        Self::EmptyFrame,
-        Self::LongFrame,
-        Self::CutEscape,
-        Self::UnknownTag,
-        Self::WrongLength,
-        Self::UnknownSender,
-        Self::Stale,
-        Self::KeyWornOut,
-        Self::BadTag,
-        Self::NoPacket,
-        Self::NoStatus,
-        Self::NotAsked,
-        Self::Other,
-    ];
+    pub const ALL: &[Self] = Self::VARIANTS;
 
     /// The reason in a few words, as in tables.
     #[must_use]
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::UnknownIncompatFlags => "unknown flags",
-            Self::UnknownMessage => "unknown message",
-            Self::BadChecksum => "bad checksum",
-            Self::TooLong => "longer than a message",
-            Self::CounterExhausted => "counter exhausted",
-            Self::CipherFailed => "cipher failed",
-            Self::NotStored => "not stored",
-            Self::EmptyFrame => "empty frame",
-            Self::LongFrame => "frame too long",
-            Self::CutEscape => "cut escape",
-            Self::UnknownTag => "unknown tag",
-            Self::WrongLength => "wrong length",
-            Self::UnknownSender => "unknown sender",
-            Self::Stale => "stale",
-            Self::KeyWornOut => "key worn out",
-            Self::BadTag => "bad tag",
-            Self::NoPacket => "no packet",
-            Self::NoStatus => "no status",
-            Self::NotAsked => "not asked",
-            Self::Other => "other",
-        }
-    }
-}
-
-// The counters have a place for each reason, at its discriminant.
-const _: () = {
-    let mut rest: &[Refusal] = &Refusal::ALL;
-    let mut expected = 0;
-    while let [reason, others @ ..] = rest {
-        assert!(*reason as usize == expected);
-        expected += 1;
-        rest = others;
-    }
-    assert!(Refusal::Other as usize + 1 == expected);
-};
-
-impl fmt::Display for Refusal {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.as_str())
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 }
 
@@ -184,6 +145,7 @@ impl From<OpenError> for Refusal {
         match error {
             OpenError::WrongLength(_) => Self::WrongLength,
             OpenError::UnknownSender(_) => Self::UnknownSender,
+            OpenError::NoCounter(_) => Self::NoCounter,
             OpenError::Stale { .. } => Self::Stale,
             OpenError::KeyWornOut => Self::KeyWornOut,
             OpenError::BadTag => Self::BadTag,
@@ -259,7 +221,7 @@ impl Counters {
 
     /// Every reason and how often it was given.
     pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
-        Refusal::ALL.into_iter().zip(self.refused)
+        Refusal::ALL.iter().copied().zip(self.refused)
     }
 
     pub(crate) const fn count_package(&mut self) {

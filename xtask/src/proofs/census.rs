@@ -10,7 +10,7 @@ use anyhow::{Context, Result};
 use cargo_metadata::{Metadata, MetadataCommand};
 
 use super::{
-    fingerprint::{Depth, fingerprint, hash_of, of_module},
+    fingerprint::{Depth, fingerprint, hash_of, of_harnesses},
     plan::{Canary, Mutant, Plan, Property, id_of},
     scan::{Found, Harness},
 };
@@ -65,7 +65,7 @@ impl Project {
         }
         let mut proofs = BTreeMap::new();
         for (package, module) in found.harnesses.iter().map(place).collect::<BTreeSet<_>>() {
-            let print = of_module(&metadata, &package, Depth::Proof, Some(&module))?;
+            let print = of_harnesses(&metadata, &package, &module)?;
             proofs.insert((package, module), print);
         }
         Ok(Self {

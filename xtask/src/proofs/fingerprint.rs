@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, ensure};
 use cargo_metadata::{DependencyKind, Metadata, PackageId};
 use hmac_sha256::Hash;
 use proc_macro2::{TokenStream, TokenTree};
@@ -49,20 +49,23 @@ impl Depth {
 /// # Errors
 /// If a file cannot be read or is no Rust.
 pub(crate) fn fingerprint(metadata: &Metadata, package: &str, depth: Depth) -> Result<String> {
-    of_module(metadata, package, depth, None)
+    hash(metadata, package, depth, None)
 }
 
-/// The same for the harnesses in one module of `package`: those of others have no influence on them.
+/// The same for the harnesses in one module of `package`: neither harnesses of other modules have an
+/// influence on them, nor what the module does not reach.
 ///
 /// # Errors
 /// As [`fingerprint`].
-pub(crate) fn of_module(
-    metadata: &Metadata,
-    package: &str,
-    depth: Depth,
-    module: Option<&str>,
-) -> Result<String> {
+pub(crate) fn of_harnesses(metadata: &Metadata, package: &str, module: &str) -> Result<String> {
+    hash(metadata, package, Depth::Proof, Some(module))
+}
+
+fn hash(metadata: &Metadata, package: &str, depth: Depth, module: Option<&str>) -> Result<String> {
     let root = metadata.workspace_root.as_std_path();
+    let reach = module
+        .map(|module| Reach::of(metadata, package, module))
+        .transpose()?;
     let mut hash = Hash::new();
     let mut add = |name: &str, content: &[u8]| {
         // Lengths first, so that no two lists of files look alike.
@@ -72,7 +75,7 @@ pub(crate) fn of_module(
         }
     };
     add("workspace", workspace(root)?.to_string().as_bytes());
-    for id in closure(metadata, package, depth)? {
+    for id in closure(metadata, package, depth, reach.as_ref())? {
         let ours = metadata[&id].name.as_str() == package;
         let depth = if ours { depth } else { depth.of_dependencies() };
         let package = &metadata[&id];
@@ -89,18 +92,74 @@ pub(crate) fn of_module(
             }
             for file in rust_files(&folder.join(part))? {
                 let name = file.strip_prefix(root).unwrap_or(&file).to_string_lossy();
-                let own =
-                    module.is_none_or(|module| ours && file.ends_with(format!("{module}.rs")));
-                let meaning = if own {
-                    meaning(&file, depth)?
-                } else {
-                    meaning_without_harnesses(&file, depth)?
+                let meaning = match &reach {
+                    Some(reach) if ours && !reach.modules.contains(&file) => continue,
+                    Some(reach) if !ours || file != reach.start => {
+                        meaning_without_harnesses(&file, depth)?
+                    }
+                    _ => meaning(&file, depth)?,
                 };
                 add(&name, meaning.as_bytes());
             }
         }
     }
     Ok(hex(&hash.finalize()[..8]))
+}
+
+/// What the harnesses in a module can run of their package, and of the workspace's others.
+struct Reach {
+    /// The module's file.
+    start: PathBuf,
+    /// The files of the modules.
+    modules: BTreeSet<PathBuf>,
+    /// The packages that these name.
+    packages: BTreeSet<String>,
+}
+
+impl Reach {
+    /// Modules are found by the paths that begin with `crate`, in them and in the package's root.
+    fn of(metadata: &Metadata, package: &str, module: &str) -> Result<Self> {
+        let members = metadata.workspace_packages();
+        let named = members.iter().find(|member| member.name == package);
+        let named = named.with_context(|| format!("no package {package}"))?;
+        let manifest = named.manifest_path.as_std_path();
+        let folder = manifest.parent().context("a manifest lies in a folder")?;
+        let folder = folder.join("src");
+        let file_of = |module: &str| folder.join(format!("{module}.rs"));
+        let start = file_of(module);
+        let mut reach = Self {
+            start: start.clone(),
+            modules: BTreeSet::new(),
+            packages: BTreeSet::new(),
+        };
+        let mut open = vec![start, file_of("lib")];
+        while let Some(file) = open.pop() {
+            if !reach.modules.insert(file.clone()) {
+                continue;
+            }
+            let text = if file == reach.start {
+                meaning(&file, Depth::Proof)?
+            } else {
+                meaning_without_harnesses(&file, Depth::Proof)?
+            };
+            let words: Vec<_> = text.split(' ').collect();
+            for path in words.windows(4) {
+                if let ["crate", ":", ":", next] = path {
+                    // Several at once would have to be told apart.
+                    ensure!(!next.ends_with('('), "{}: crate::{{", file.display());
+                    open.extend(Some(file_of(next)).filter(|file| file.is_file()));
+                }
+            }
+            let libraries = members.iter().filter(|member| {
+                let library = member.name.replace('-', "_");
+                words.contains(&library.as_str())
+            });
+            reach
+                .packages
+                .extend(libraries.map(|member| member.name.to_string()));
+        }
+        Ok(reach)
+    }
 }
 
 /// The hash of `text`.
@@ -155,8 +214,14 @@ fn workspace(root: &Path) -> Result<Value> {
     ]))
 }
 
-/// `package` and all that it is built from, in a fixed order.
-fn closure(metadata: &Metadata, package: &str, depth: Depth) -> Result<Vec<PackageId>> {
+/// `package` and all that it is built from, in a fixed order; of the workspace's packages those that
+/// `reach` names, and what they are built from.
+fn closure(
+    metadata: &Metadata,
+    package: &str,
+    depth: Depth,
+    reach: Option<&Reach>,
+) -> Result<Vec<PackageId>> {
     let resolve = metadata.resolve.as_ref().context("cargo metadata")?;
     let start = metadata
         .workspace_packages()
@@ -174,7 +239,13 @@ fn closure(metadata: &Metadata, package: &str, depth: Depth) -> Result<Vec<Packa
                 DependencyKind::Development => id == &start.id && depth == Depth::Tests,
                 _ => true,
             });
-            if used {
+            let reached = id != &start.id
+                || !metadata.workspace_members.contains(&dependency.pkg)
+                || reach.is_none_or(|reach| {
+                    let name = metadata[&dependency.pkg].name.as_str();
+                    reach.packages.contains(name)
+                });
+            if used && reached {
                 open.push(&dependency.pkg);
             }
         }
@@ -288,6 +359,31 @@ mod tests {
         assert_eq!(other(text), other("fn a() {} #[cfg(kani)] fn any() {}"));
         assert_ne!(other(text), other("fn a() {}"));
         assert_ne!(other(text), meaning(text, Depth::Proof));
+    }
+
+    #[test]
+    fn a_harness_reaches_what_its_module_names() {
+        let metadata = cargo_metadata::MetadataCommand::new()
+            .exec()
+            .expect("cargo metadata");
+        let reach = |module| Reach::of(&metadata, "mavseal-proofs", module).expect("a module");
+        let opening = reach("opening");
+        let names = |path: &Path| path.file_stem().map(|name| name.to_owned());
+        let modules: Vec<_> = opening
+            .modules
+            .iter()
+            .filter_map(|file| names(file))
+            .collect();
+        assert!(
+            ["lib", "opening", "cipher"]
+                .map(Into::into)
+                .iter()
+                .all(|name| modules.contains(name))
+        );
+        assert!(!modules.contains(&"relay".into()));
+        assert!(opening.packages.contains("mavlink-commsec"));
+        assert!(!opening.packages.contains("mavseal-relay"));
+        assert!(reach("relay").packages.contains("mavseal-relay"));
     }
 
     #[test]

@@ -4,7 +4,9 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use mavlink_signing::{KeyChangeError, Keys, Phase, Source, TICKS_PER_SECOND, Timestamp};
+use mavlink_signing::{
+    KeyChangeError, Keys, Phase, Source, TICKS_PER_SECOND, Timekeeper, Timestamp,
+};
 use mavseal_qemu_m7::{
     Board, Flash, Overrun, PAGE_SIZE, Runs, WallClock, exit, info, log_refused, warn,
 };
