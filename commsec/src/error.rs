@@ -85,7 +85,7 @@ pub enum OpenError {
         /// Those of the last package accepted of that sender.
         last: EpochCounter,
     },
-    /// So many packages with a wrong tag have come that no further one is tried; only a new key helps.
+    /// So many packages with a wrong tag have come that no further one is tried before the next start.
     KeyWornOut,
     /// Another key or salt, damage on the way, or a forgery.
     BadTag,

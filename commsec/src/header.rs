@@ -80,7 +80,8 @@ impl Header {
 /// ```
 ///
 /// A sender stores once at each start, not again and again while it counts. Receivers of the old
-/// format take it for another sender's package with a wrong tag.
+/// format take its counter for a sender that they mostly do not know. If they do, and key and salt are the
+/// same, it is one of that sender: each key is for one header alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochHeader {
@@ -121,7 +122,8 @@ pub struct EpochCounter {
     // In front of the counter, since the derived order compares it first.
     /// Which start of the sender: 0 to 2^16 - 2.
     pub epoch: u16,
-    /// The place in the epoch: 1 to 2^32 - 2.
+    /// The place in the epoch: 1 to 2^32 - 2. Receivers also take 0, with which the draft begins, but in epoch
+    /// 0.
     pub counter: u32,
 }
 

@@ -48,7 +48,8 @@ pub struct Packer {
 }
 
 impl Packer {
-    /// A packer that fills all 80 bytes, and lets no packet wait longer than `patience`.
+    /// A packer that fills all 80 bytes, and has them sealed when the first has waited for `patience`: see
+    /// [`poll`](Self::poll).
     #[must_use]
     pub const fn new(patience: Duration) -> Self {
         Self::of_size(MESSAGE_SIZE, patience)

@@ -51,7 +51,7 @@ pub enum Sync {
 /// | clock | a frame in the window | a frame outside of it |
 /// |---|---|---|
 /// | [`Sync::Synced`] | slews it | is refused, and moves nothing |
-/// | [`Sync::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::LEAP`] ahead, is refused |
+/// | [`Sync::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::LEAP`] and the window ahead, is refused |
 ///
 /// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
 /// the stamp by no more than a crystal may have gained or lost since it was set. A reservation is what the
@@ -174,7 +174,7 @@ impl Clock {
     }
 
     /// The moment to hold `stamp`, of an authentic frame, against: the time, if the clock knows it;
-    /// otherwise the stamp itself, unless that is more than [`Clock::LEAP`] ahead.
+    /// otherwise the stamp itself, unless that is more than [`Clock::LEAP`] ahead: then so far ahead.
     #[must_use]
     pub fn judged_at(&self, stamp: Timestamp, timer: u64) -> Timestamp {
         let now = self.now(timer);

@@ -169,11 +169,15 @@ pub enum Resync {
     /// packets that are verified afterwards.
     ///
     /// A packet inside the payload of a damaged or unknown one comes out too. Whoever sends bytes
-    /// can make a checksum be computed over up to 264 bytes for every 10 that it sends.
+    /// can make a checksum be computed over up to 259 bytes for every byte that it sends, as one magic
+    /// byte after the other does.
     NextByte,
-    /// After the end that it announces: a payload is never taken for packets. For packets that are
-    /// trusted because of where they come from. Noise that begins like a packet may cost the
-    /// packets behind it, 280 bytes at most.
+    /// After the end that it announces: the payload of a packet that was damaged, but came with all its
+    /// bytes, is never taken for packets. For packets that are trusted because of where they come from.
+    ///
+    /// Where bytes were lost or came in between, that end may lie inside a packet behind it, whose payload
+    /// is then searched. Noise that begins like a packet may cost the packets behind it: 280 bytes at
+    /// most, and again where another magic byte is met before a packet begins.
     AnnouncedEnd,
 }
 

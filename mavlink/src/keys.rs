@@ -252,7 +252,8 @@ impl<P: Profile> Keys<P> {
 
     /// Takes over `key`, which came from the other end, or in its place on a trusted port; also one that this
     /// end has offered itself. If it is the old key again, and the other end was not heard with the new one,
-    /// the change is off. If it is the key in use, nothing changes.
+    /// the change is off; an end that has retired the old key is not heard then, until the new one is applied
+    /// again. If it is the newest key, nothing changes, but that an offer counts as taken over.
     ///
     /// A third key has to wait: the other end may already sign with the second alone.
     ///

@@ -74,7 +74,8 @@ impl SetupSigning {
     ///
     /// # Errors
     ///
-    /// [`SignError::UnknownMessage`] if the dialect is `minimal`, which has no such message.
+    /// [`SignError::UnknownMessage`] if the dialect has no such message: `minimal`, `standard`, `csairlink`,
+    /// `icarous` and `loweheiser` have none.
     pub fn to_frame(&self, header: Header) -> Result<Frame, SignError> {
         let mut payload = [0; PAYLOAD_SIZE];
         let ticks = self.initial_timestamp.ticks().to_le_bytes();

@@ -10,7 +10,8 @@
 //! * Plain to secure: a frame is signed only if its own checksum is right. Bad checksums, unknown
 //!   messages, MAVLink 1 and frames that are already signed are refused and counted. The payload of a
 //!   refused packet is not searched for packets, so that bytes that somebody else put there are not
-//!   signed: [`Resync::AnnouncedEnd`](mavlink_signing::Resync).
+//!   signed: [`Resync::AnnouncedEnd`](mavlink_signing::Resync), also for what that does not do on a line
+//!   that loses bytes.
 //! * Secure to plain: only verified frames leave, without signature or whole, and unsigned ones that a
 //!   [policy](Relay::accepting) accepts, if there is one. Everything else is refused and counted by reason.
 //!   The relay signs nothing that came in on the secure side; where the plain side may send back what it
@@ -69,8 +70,10 @@
 //! * `bad tag`: another key. SETUP_SIGNING on the plain side with a key that the other end has; the key in
 //!   use before is accepted as well until it is retired. While another change is under way
 //!   ([`Phase`](mavlink_signing::Phase), [`UnderWay`](mavlink_signing::KeyChangeError::UnderWay)) a third key is
-//!   refused: end that one first, or take it back with the old key.
-//! * Nothing starts because the keys cannot be read: the flash has lost them. Erase it; the mark may stay.
+//!   refused: end that one first, or take it back with the old key, as long as the other end has not retired
+//!   that: after it has, both are deaf until the new key is applied once more.
+//! * Nothing starts because the keys cannot be read: start again, as a flash that did not take a write has lost
+//!   nothing. If that does not help, they are lost. Erase it; the mark may stay.
 //! * `not stored`: replace the board, or its flash.
 //!
 //! The relay knows no UART, no clock and no heap. Its ports are [`embedded_io`] ports that say

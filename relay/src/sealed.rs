@@ -8,12 +8,12 @@
 //! ```
 //!
 //! * Plain side to radio: packets with a right checksum, of MAVLink 1 or 2, signed or not, whole and
-//!   unchanged. They wait for one another until a message is full or a HEARTBEAT comes, and for no longer than
-//!   the patience. A packet of more than 80 bytes fits into no message: it is refused and counted.
+//!   unchanged. They wait for one another until a message is full or a HEARTBEAT comes, or until the first has
+//!   waited for the patience. A packet of more than 80 bytes fits into no message: it is refused and counted.
 //! * Radio to plain side: the packets of packages that a permitted sender sealed, each package once. All
-//!   else is refused and counted by reason. Nothing that came from the radio goes out on it again.
-//! * The end asks its radio for its status every second. The answer becomes VEHICLE_RADIO, which a vehicle
-//!   sends to its stations, or GCS_RADIO, which a station hands to its program.
+//!   else is refused and counted by reason. No packet that came from the radio goes out on it again.
+//! * The end asks its radio for its status every second. The answer, which nothing protects, becomes
+//!   VEHICLE_RADIO, which a vehicle sends to its stations, or GCS_RADIO, which a station hands to its program.
 //!
 //! # Over a restart
 //!
@@ -26,7 +26,9 @@
 //! | a mark is stored for each so many packages | flash: see `mavseal-store`, Wear |
 //! | what cannot be remembered is refused | with a worn-out flash the link ends: [`Refusal::NotStored`] |
 //!
-//! Marks belong to keys. Whoever changes a key erases its mark; nobody erases a mark and keeps the key.
+//! Marks belong to keys. Whoever changes a key erases its mark; nobody erases a mark and keeps the key. They
+//! are told apart by their order alone: a peer that is taken out, or another order, would hand one peer's mark
+//! to the next, so that recordings of the latter pass. Then all keys are made new.
 
 mod event;
 
@@ -91,8 +93,8 @@ pub struct End<F, const N: usize, C: Cipher = AesGcm> {
 impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
     /// The end that seals as `own` and opens what `peers` have sealed, from where `marks` say.
     ///
-    /// No packet waits for others for longer than `patience`, if [`End::poll`] is called as often as it asks
-    /// for.
+    /// No packet waits for others for longer than twice `patience`, if [`End::poll`] is called as often as it
+    /// asks for.
     ///
     /// # Errors
     ///

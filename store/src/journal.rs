@@ -71,7 +71,7 @@ pub enum StoreError {
     Erase(#[cfg_attr(feature = "defmt", defmt(Debug2Format))] NorFlashErrorKind),
     /// What was written reads as something else, or not at all, in several places.
     Write,
-    /// All sequence numbers are used up: 2^32 - 2 records.
+    /// All sequence numbers are used up: 2^32 - 1 records.
     Exhausted,
 }
 

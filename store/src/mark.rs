@@ -38,7 +38,8 @@ pub struct Mark<F> {
 }
 
 impl<F: NorFlash> Mark<F> {
-    /// The mark that `region` of `flash` holds; 0 if it never held one. Nothing is written.
+    /// The mark that `region` of `flash` holds; 0 if it never held one, or none that can be read: a cut in the
+    /// very first write leaves the same. Nothing is written.
     ///
     /// # Errors
     ///

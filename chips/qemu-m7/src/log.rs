@@ -6,7 +6,7 @@ use crate::info;
 
 /// What was said last, and how often in a row.
 ///
-/// A line takes longer than a frame: one for each refusal would let whoever floods one direction stall
+/// A line takes longer than a frame: one for each refusal would let whoever repeats one of them stall
 /// the other.
 #[derive(Clone, Copy, Debug)]
 pub struct Runs<T>(Option<(T, u32)>);

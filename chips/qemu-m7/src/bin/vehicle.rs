@@ -1,4 +1,6 @@
 //! The vehicle of a sealed link: UART 0 is the autopilot's, UART 1 the radio's.
+//!
+//! Each time the emulator is started the flash is new, and counters begin at 1: it needs new keys then.
 
 #![no_std]
 #![no_main]
