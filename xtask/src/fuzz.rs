@@ -156,8 +156,10 @@ impl Fuzzer {
         targets.retain(|target| only.is_empty() || only.contains(&target.name));
         let cargo_fuzz = setup::cargo_fuzz(options.stable)?;
         let target_dir = setup::target_dir()?.join("fuzz");
+        let engine = Engine::new(&cargo_fuzz, &root, &target_dir);
+        engine.build(None)?;
         Ok(Self {
-            engine: Engine::build(&cargo_fuzz, &root, &target_dir)?,
+            engine,
             root,
             target_dir,
             cargo_fuzz,

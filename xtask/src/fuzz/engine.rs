@@ -70,23 +70,28 @@ pub(super) struct Finding {
 }
 
 impl Engine {
-    /// Builds the targets in `tree`.
-    ///
-    /// # Errors
-    /// If they do not compile, with what the compiler says.
-    pub(super) fn build(cargo_fuzz: &CargoFuzz, tree: &Path, target_dir: &Path) -> Result<Self> {
-        let engine = Self {
+    /// The targets in `tree`, not built yet.
+    pub(super) fn new(cargo_fuzz: &CargoFuzz, tree: &Path, target_dir: &Path) -> Self {
+        Self {
             tree: tree.to_owned(),
             target_dir: target_dir.to_owned(),
             cargo_fuzz: cargo_fuzz.clone(),
-        };
-        let output = engine.cargo("build").stdin(Stdio::null()).output()?;
+        }
+    }
+
+    /// Builds `target`, or all of them.
+    ///
+    /// # Errors
+    /// If they do not compile, with what the compiler says.
+    pub(super) fn build(&self, target: Option<&str>) -> Result<()> {
+        let mut cargo = self.cargo("build");
+        let output = cargo.args(target).stdin(Stdio::null()).output()?;
         let said = String::from_utf8_lossy(&output.stderr);
         ensure!(
             output.status.success(),
             "the targets were not built:\n{said}"
         );
-        Ok(engine)
+        Ok(())
     }
 
     /// `cargo fuzz <verb>`, to which the caller adds a target.

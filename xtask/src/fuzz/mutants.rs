@@ -125,8 +125,7 @@ impl Trials<'_> {
         let path = workshop.tree.join(&mutant.file);
         let before = fs::read_to_string(&path).with_context(|| mutant.file.clone())?;
         fs::write(&path, mutant.apply(&before).map_err(anyhow::Error::msg)?)?;
-        let engine = Engine::build(&self.fuzzer.cargo_fuzz, &workshop.tree, &workshop.test);
-        let engine = engine.with_context(|| mutant.name.clone())?;
+        let engine = Engine::new(&self.fuzzer.cargo_fuzz, &workshop.tree, &workshop.test);
 
         let ids = mutant.ids();
         let concerns = |target: &&Target| target.properties.iter().any(|id| ids.contains(id));
@@ -145,8 +144,8 @@ impl Trials<'_> {
         )
     }
 
-    /// The first of `targets` that fails when each has `time`, and after how long; without time, each
-    /// looks at its seeds.
+    /// Builds one of `targets` after the other; the first that fails when each has `time`, and after how long;
+    /// without time, each looks at its seeds.
     fn look(
         &self,
         engine: &Engine,
@@ -160,6 +159,8 @@ impl Trials<'_> {
         }
         let mut seconds = 0.0;
         for target in targets {
+            let built = engine.build(Some(&target.name));
+            built.with_context(|| mutant.to_owned())?;
             let mut corpus = vec![scratch.join(&target.name)];
             corpus.extend(engine.seeds(target));
             let session = Session {
