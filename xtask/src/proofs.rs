@@ -37,11 +37,14 @@ pub(crate) struct Options {
     /// Only this property, for example V1; may be repeated
     #[arg(long, value_name = "ID")]
     only: Vec<String>,
+    /// Only harnesses that are not verified yet on these sources
+    #[arg(long, conflicts_with = "mutants")]
+    stale: bool,
     /// Run nothing; fail if something is missing or verification.md does not say what the results say
-    #[arg(long, conflicts_with_all = ["fast", "only", "mutants"])]
+    #[arg(long, conflicts_with_all = ["fast", "only", "stale", "mutants"])]
     check: bool,
     /// Run nothing; write the tables of verification.md
-    #[arg(long, conflicts_with_all = ["fast", "only", "mutants", "check"])]
+    #[arg(long, conflicts_with_all = ["fast", "only", "stale", "mutants", "check"])]
     table: bool,
     /// Break the code in known ways, which proofs and twins must notice
     #[arg(long)]
@@ -196,10 +199,19 @@ impl Run {
             not_installed(&self.project.plan.kani)
         );
         let start = Instant::now();
-        let full = !options.fast && options.only.is_empty();
+        let all = !options.fast && options.only.is_empty();
+        let full = all && !options.stale;
+        let known = Results::load(&self.root)?;
         let harnesses = self.project.found.harnesses.iter();
         // A harness that belongs to nothing is run too when everything is.
-        let wanted = |h: &&Harness| full || h.id().is_some_and(|id| self.wanted(&id));
+        let verified = |harness: &Harness| {
+            let proof = table::fresh(&self.project, &known, harness);
+            proof.is_ok_and(|proof| proof.verdict == kani::Verdict::Verified)
+        };
+        let wanted = |h: &&Harness| {
+            let chosen = all || h.id().is_some_and(|id| self.wanted(&id));
+            chosen && !(options.stale && verified(h))
+        };
         let harnesses: Vec<_> = harnesses.filter(wanted).collect();
         ensure!(!harnesses.is_empty(), "there is no harness to run");
         let listed = if full { self.listed() } else { Ok(()) };
