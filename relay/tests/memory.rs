@@ -1,6 +1,6 @@
 //! What the relay remembers: its mark, its keys, and SETUP_SIGNING from the plain side.
 
-use std::{cell::Cell, collections::VecDeque, convert::Infallible};
+use std::{cell::Cell, collections::VecDeque, convert::Infallible, error::Error};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
@@ -225,6 +225,16 @@ fn the_end_of_time_is_told() {
         KeptError::Exhausted.to_string(),
         "all timestamps are used up"
     );
+    assert!(KeptError::Exhausted.source().is_none());
+    let nowhere = Region {
+        page_size: 1,
+        ..REGION
+    };
+    let error = Kept::new(&mut flash, nowhere, || 0)
+        .err()
+        .expect("no region");
+    let source = error.source().expect("the flash's own");
+    assert_eq!(source.to_string(), error.to_string());
 }
 
 #[test]

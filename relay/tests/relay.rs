@@ -524,6 +524,13 @@ fn what_is_wrong_is_said() {
     let words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
     assert_eq!(
         words,
+        Refusal::ALL
+            .iter()
+            .map(|reason| reason.as_str())
+            .collect::<Vec<_>>()
+    );
+    assert_eq!(
+        words,
         [
             "MAVLink 1",
             "SETUP_SIGNING",

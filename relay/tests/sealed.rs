@@ -487,6 +487,23 @@ fn slow_ports_lose_nothing() {
 }
 
 #[test]
+fn a_radio_that_takes_nothing_is_no_silence() {
+    let mut vehicle = vehicle();
+    vehicle.air.room = 0;
+    let last = packet(20);
+    // The two that do not fit into one message, and the front of another with them.
+    vehicle.plain_in(&[packet(60), packet(60), last[..8].to_vec()].concat());
+    assert!(vehicle.plain.input.is_empty());
+    vehicle.now += 2 * mavseal_relay::IDLE;
+    vehicle.run();
+    vehicle.air.room = usize::MAX;
+    vehicle.run();
+    vehicle.plain_in(&last[8..]);
+    assert_eq!(vehicle.end.sealed().packets(), 3);
+    assert_eq!(vehicle.end.sealed().dropped(), 0);
+}
+
+#[test]
 fn a_port_that_fails_is_told_and_does_not_stop_the_other_direction() {
     let mut vehicle = vehicle();
     vehicle.plain.broken = true;
@@ -628,6 +645,13 @@ fn keys_that_are_none_are_told() {
 #[test]
 fn every_reason_has_words_of_its_own() {
     let mut words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
+    assert_eq!(
+        words,
+        Refusal::ALL
+            .iter()
+            .map(|reason| reason.as_str())
+            .collect::<Vec<_>>()
+    );
     words.sort();
     words.dedup();
     assert_eq!(words.len(), Refusal::ALL.len());

@@ -23,7 +23,7 @@ use crate::proofs::{
     workshop::Snapshot,
 };
 use crate::setup::root;
-use outcome::{Results, Survivors};
+use outcome::{Hashes, Results, Survivors};
 
 /// The cores, which are changed, and the packages that have the tests.
 pub(crate) const CORES: [&str; 4] = [
@@ -41,7 +41,7 @@ const TESTS: [&str; 5] = [
 ];
 
 /// What is compiled with a feature alone: the feature, and which mutants are tried once more with it.
-const FEATURE: [&str; 2] = ["mavlink-signing/fast-checksum", "by_tables|low::"];
+const FEATURE: (&str, &str) = ("mavlink-signing/fast-checksum", "by_tables|low::");
 
 /// The least score, in percent.
 const BAR: f64 = 95.0;
@@ -52,6 +52,9 @@ pub(crate) struct Options {
     /// Only mutants whose name matches this regular expression; what comes out is not kept
     #[arg(long, value_name = "REGEX", conflicts_with_all = ["table", "check"])]
     only: Option<String>,
+    /// Only what survived the last run, for tests that came since; what was killed then is not tried again
+    #[arg(long, conflicts_with_all = ["only", "table", "check"])]
+    survivors: bool,
     /// Run nothing; write the table of verification.md
     #[arg(long, conflicts_with = "check")]
     table: bool,
@@ -71,10 +74,10 @@ pub(crate) struct Options {
 pub(crate) fn run(options: &Options) -> Result<()> {
     let root = root();
     if options.table {
-        return table::write(&root, &sources(&root)?);
+        return table::write(&root, &Hashes::of(&root)?);
     }
     if options.check {
-        return table::check(&root, &sources(&root)?);
+        return table::check(&root, &Hashes::of(&root)?);
     }
     let start = Instant::now();
     let version = cargo_mutants()?;
@@ -87,40 +90,66 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         .join("mutants")
         .into_std_path_buf();
     let tree = Snapshot::take(&root, &folder)?.tree();
-    let sources = sources(&tree)?;
+    let hashes = Hashes::of(&tree)?;
+    let before = options.survivors.then(|| survived(&root, &hashes));
+    let before = before.transpose()?;
+    let patterns: Vec<_> = match &before {
+        Some(results) => results.survivors().map(regex::escape).collect(),
+        None => options.only.iter().cloned().collect(),
+    };
     let limit = baseline(&tree, &folder)?;
-    let mut tried = outcome::read(&try_all(&tree, &folder, limit, options, None)?)?;
-    if options.only.is_none() {
-        let again = try_all(
-            &tree,
-            &folder.join("feature"),
-            limit,
-            options,
-            Some(FEATURE),
-        )?;
+    let tries = Tries {
+        tree: &tree,
+        limit,
+        jobs: options.jobs,
+    };
+    let mut tried = outcome::read(&tries.run(&folder, &patterns, None)?)?;
+    if patterns.is_empty() {
+        let (feature, names) = FEATURE;
+        let again = tries.run(&folder.join("feature"), &[names.to_owned()], Some(feature))?;
         outcome::merge(&mut tried, outcome::read(&again)?);
     }
-    let survivors = Survivors::load(&tree)?;
-    let faults = survivors.faults(&tried, options.only.is_none());
-    let results = Results {
-        date: today()?,
-        minutes: tenths(start.elapsed().as_secs_f64() / 60.0),
-        cores: cores(),
-        jobs: options.jobs,
-        cargo_mutants: version,
-        rustc: rustc()?,
-        sources,
-        mutants: tried,
+    let results = match before {
+        Some(mut results) => {
+            outcome::merge(&mut results.mutants, tried);
+            results.hashes = hashes;
+            results.survivors_again = Some(today()?);
+            results
+        }
+        None => Results {
+            date: today()?,
+            minutes: tenths(start.elapsed().as_secs_f64() / 60.0),
+            cores: cores(),
+            jobs: options.jobs,
+            cargo_mutants: version,
+            rustc: rustc()?,
+            hashes,
+            survivors_again: None,
+            mutants: tried,
+        },
     };
+    let survivors = Survivors::load(&tree)?;
+    let faults = survivors.faults(&results.mutants, options.only.is_none());
     print!("\n{}", table::rows(&results));
     if options.only.is_none() {
         results.save(&root)?;
-        table::write(&root, &results.sources)?;
+        table::write(&root, &results.hashes)?;
     }
     ensure!(faults.is_empty(), "{}", faults.join("\n"));
     let score = results.count(None).score();
     ensure!(score >= BAR, "the score is {score:.1} %, less than {BAR} %");
     Ok(())
+}
+
+/// The last run, if it was of this code and something survived it.
+fn survived(root: &Path, now: &Hashes) -> Result<Results> {
+    let results = Results::load(root)?.context("nothing has been tried yet")?;
+    ensure!(
+        results.hashes.code == now.code,
+        "the code has changed since"
+    );
+    ensure!(results.survivors().next().is_some(), "nothing has survived");
+    Ok(results)
 }
 
 /// For `cargo xtask test --all`: every mutant.
@@ -130,6 +159,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 pub(crate) fn all() -> Result<()> {
     run(&Options {
         only: None,
+        survivors: false,
         table: false,
         check: false,
         jobs: 2,
@@ -167,14 +197,22 @@ fn rustc() -> Result<String> {
         .to_owned())
 }
 
-/// The hash of the code that is changed and of the tests that notice.
-fn sources(tree: &Path) -> Result<String> {
-    let metadata = cargo_metadata::MetadataCommand::new()
-        .manifest_path(tree.join("Cargo.toml"))
-        .exec()?;
-    let hashes = TESTS.map(|package| fingerprint(&metadata, package, Depth::Tests));
-    let hashes = hashes.into_iter().collect::<Result<Vec<_>>>()?;
-    Ok(hash_of(&hashes.concat()))
+impl Hashes {
+    fn of(tree: &Path) -> Result<Self> {
+        let metadata = cargo_metadata::MetadataCommand::new()
+            .manifest_path(tree.join("Cargo.toml"))
+            .exec()?;
+        let hash = |packages: &[&str], depth| {
+            let hashes = packages
+                .iter()
+                .map(|package| fingerprint(&metadata, package, depth));
+            anyhow::Ok(hash_of(&hashes.collect::<Result<Vec<_>>>()?.concat()))
+        };
+        Ok(Self {
+            code: hash(&CORES, Depth::Fuzz)?,
+            all: hash(&TESTS, Depth::Tests)?,
+        })
+    }
 }
 
 /// The same for every test: values by chance that are the same each time, and of a failure only that
@@ -214,33 +252,37 @@ fn baseline(tree: &Path, folder: &Path) -> Result<Duration> {
     Ok(start.elapsed() * 10 + Duration::from_secs(20))
 }
 
-/// Has cargo-mutants try the mutants, or those that `feature` asks for; gives the folder with what came
-/// out.
-fn try_all(
-    tree: &Path,
-    folder: &Path,
+/// How mutants are tried.
+struct Tries<'a> {
+    tree: &'a Path,
     limit: Duration,
-    options: &Options,
-    feature: Option<[&str; 2]>,
-) -> Result<PathBuf> {
-    // It copies the tree to where temporary files are, and builds there.
-    let copies = folder.join("copies");
-    fs::create_dir_all(&copies)?;
-    let mut cargo = Command::new("cargo");
-    calm(&mut cargo).env("TMPDIR", copies).arg("mutants");
-    cargo.arg("--dir").arg(tree).arg("--output").arg(folder);
-    cargo.args(CORES.iter().flat_map(|package| ["--package", package]));
-    cargo.args(["--baseline=skip", "--timeout", &limit.as_secs().to_string()]);
-    cargo.args(["--jobs", &options.jobs.to_string()]);
-    if let Some(regex) = &options.only {
-        cargo.args(["--re", regex]);
-    }
-    if let Some([feature, regex]) = feature {
-        cargo.args(["--features", feature, "--re", regex]);
-    }
-    // 2 and 3 tell of mutants that survived or took too long.
-    match cargo.status()?.code() {
-        Some(0 | 2 | 3) => Ok(folder.join("mutants.out")),
-        _ => bail!("cargo mutants did not get to its end"),
+    jobs: usize,
+}
+
+impl Tries<'_> {
+    /// Has cargo-mutants try those that one of `patterns` matches, or all if there is none; gives the folder
+    /// with what came out.
+    fn run(&self, folder: &Path, patterns: &[String], feature: Option<&str>) -> Result<PathBuf> {
+        // It copies the tree to where temporary files are, and builds there.
+        let copies = folder.join("copies");
+        fs::create_dir_all(&copies)?;
+        let mut cargo = Command::new("cargo");
+        calm(&mut cargo).env("TMPDIR", copies).arg("mutants");
+        cargo
+            .arg("--dir")
+            .arg(self.tree)
+            .arg("--output")
+            .arg(folder);
+        cargo.args(CORES.iter().flat_map(|package| ["--package", package]));
+        let limit = self.limit.as_secs().to_string();
+        cargo.args(["--baseline=skip", "--timeout", &limit]);
+        cargo.args(["--jobs", &self.jobs.to_string()]);
+        cargo.args(patterns.iter().flat_map(|pattern| ["--re", pattern]));
+        cargo.args(feature.iter().flat_map(|feature| ["--features", feature]));
+        // 2 and 3 tell of mutants that survived or took too long.
+        match cargo.status()?.code() {
+            Some(0 | 2 | 3) => Ok(folder.join("mutants.out")),
+            _ => bail!("cargo mutants did not get to its end"),
+        }
     }
 }

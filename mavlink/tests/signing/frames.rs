@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crate::common::*;
 use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE, SIGNATURE_SIZE, TAG_SIZE};
 use mavlink_signing::{
-    Frame, FrameRef, Hmac, KeyError, MessageId, ParseError, Replay, SignError, SigningKey, Stamp,
-    Stamper, Timestamp, VerifyError, Window, authenticate, dialect, sign_frame,
+    Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, MessageId, ParseError,
+    Phase, Replay, SignError, SigningKey, Stamp, Stamper, Timestamp, VerifyError, Window,
+    authenticate, dialect, sign_frame,
 };
 
 /// The checksum by a library that shares no code with this one.
@@ -399,6 +400,11 @@ fn errors_say_what_is_wrong() {
         VerifyError::Replayed.to_string(),
         VerifyError::StreamsFull.to_string(),
         VerifyError::Signed.to_string(),
+        KeyChangeError::Key(KeyError::AllZero).to_string(),
+        KeyChangeError::UnderWay.to_string(),
+        KeyChangeError::NotOffered.to_string(),
+        KeyChangeError::NotConfirmed.to_string(),
+        KeyChangeError::NotStored.to_string(),
     ];
     assert_eq!(
         said.join("\n"),
@@ -421,10 +427,33 @@ fn errors_say_what_is_wrong() {
          stamped too long ago\n\
          not newer than the last accepted frame\n\
          a new stream, and the table of streams is full\n\
-         the frame is signed"
+         the frame is signed\n\
+         a key of zeros only is no key\n\
+         another change of key is under way\n\
+         no key is offered that could be withdrawn\n\
+         the other end has not been heard with the new key\n\
+         the keys cannot be stored"
     );
     let parse = VerifyError::Parse(ParseError::Truncated);
     let source = parse.source().and_then(|source| source.downcast_ref());
     assert_eq!(source, Some(&ParseError::Truncated));
     assert!(VerifyError::BadTag.source().is_none());
+    let change = KeyChangeError::Key(KeyError::AllZero);
+    let source = change.source().and_then(|source| source.downcast_ref());
+    assert_eq!(source, Some(&KeyError::AllZero));
+    assert!(KeyChangeError::UnderWay.source().is_none());
+}
+
+#[test]
+fn what_is_stored_of_a_key_does_not_show_it() {
+    let changes = [
+        KeyChange::Begin(&[0xAB; KEY_SIZE], Phase::Offered),
+        KeyChange::Confirm,
+        KeyChange::Retire,
+        KeyChange::Withdraw,
+    ];
+    assert_eq!(
+        format!("{changes:?}"),
+        "[Begin(redacted), Confirm, Retire, Withdraw]"
+    );
 }

@@ -18,10 +18,21 @@ pub(super) struct Results {
     pub(super) jobs: usize,
     pub(super) cargo_mutants: String,
     pub(super) rustc: String,
-    /// Hash of what was changed and of the tests.
-    pub(super) sources: String,
+    pub(super) hashes: Hashes,
+    /// When those that had survived were tried again, with tests that came since.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) survivors_again: Option<String>,
     /// By name and place.
     pub(super) mutants: BTreeMap<String, Mutant>,
+}
+
+/// What a run depends on.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Hashes {
+    /// Of the code that is changed.
+    pub(super) code: String,
+    /// Of that and of the tests.
+    pub(super) all: String,
 }
 
 /// A mutant that was tried.
@@ -87,6 +98,12 @@ impl Results {
     pub(super) fn save(&self, root: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self)? + "\n";
         fs::write(root.join(RESULTS), text).context(RESULTS)
+    }
+
+    /// The names of those that survived.
+    pub(super) fn survivors(&self) -> impl Iterator<Item = &str> {
+        let survived = self.mutants.iter().filter(|(_, mutant)| mutant.survived());
+        survived.map(|(name, _)| name.as_str())
     }
 
     /// Of one package, or of all.

@@ -6,7 +6,7 @@ use anyhow::Result;
 
 use super::{
     CORES,
-    outcome::{Count, Results, Survivors},
+    outcome::{Count, Hashes, Results, Survivors},
 };
 use crate::page::{Page, row};
 
@@ -17,23 +17,23 @@ const PART: &str = "mutants";
 ///
 /// # Errors
 /// If the page has no place for it.
-pub(super) fn write(root: &Path, sources: &str) -> Result<()> {
-    Page::load(root, PART)?.write(root, &render(root, sources)?)
+pub(super) fn write(root: &Path, hashes: &Hashes) -> Result<()> {
+    Page::load(root, PART)?.write(root, &render(root, hashes)?)
 }
 
 /// Whether it says what the results say.
 ///
 /// # Errors
 /// If it does not.
-pub(super) fn check(root: &Path, sources: &str) -> Result<()> {
-    Page::load(root, PART)?.check(&render(root, sources)?, "cargo xtask mutants --table")
+pub(super) fn check(root: &Path, hashes: &Hashes) -> Result<()> {
+    Page::load(root, PART)?.check(&render(root, hashes)?, "cargo xtask mutants --table")
 }
 
-fn render(root: &Path, sources: &str) -> Result<String> {
+fn render(root: &Path, hashes: &Hashes) -> Result<String> {
     let Some(results) = Results::load(root)? else {
         return Ok("\nNot yet run.\n\n".to_owned());
     };
-    let stale = if results.sources == sources {
+    let stale = if results.hashes == *hashes {
         ""
     } else {
         "\n\n**Stale**: code or tests have changed since."
@@ -47,11 +47,18 @@ fn render(root: &Path, sources: &str) -> Result<String> {
         rustc,
         ..
     } = &results;
+    let again = results.survivors_again.as_ref().map(|date| {
+        format!(
+            " On {date} those that had survived were tried again with the tests that came since; what had \
+             been noticed was not."
+        )
+    });
+    let again = again.unwrap_or_default();
     let table = rows(&results);
     let survivors = survivors(&results, &Survivors::load(root)?);
     Ok(format!(
         "\n{table}\ncargo-mutants {cargo_mutants}, rustc {rustc}, {date}: {minutes:.1} minutes, \
-         {jobs} mutants at a time on {cores} cores.{stale}\n\n{survivors}\n"
+         {jobs} mutants at a time on {cores} cores.{again}{stale}\n\n{survivors}\n"
     ))
 }
 
