@@ -4,9 +4,9 @@ use std::{cell::Cell, collections::VecDeque, convert::Infallible, error::Error};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChangeError, KeyError, KeyStore, Keys, MessageId,
-    NotStored, Phase, RESERVATION, Replay, SetupSigning, SignError, SigningKey, Source, Stamp,
-    Stamper, Sync, Timekeeper, Timestamp, VerifyError, Window, sign_frame,
+    Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, KeyStore, Keys,
+    MessageId, NotStored, Phase, RESERVATION, Replay, SetupSigning, SignError, SigningKey, Source,
+    Stamp, Stamper, Sync, Timekeeper, Timestamp, VerifyError, Window, sign_frame,
 };
 use mavseal_relay::{
     BehindMark, Clock, FIRST_RESERVATION, Forward, Kept, KeptError, KeySlots, Refusal, Relay,
@@ -156,6 +156,8 @@ fn a_clock_that_leaps_is_no_silence() {
     assert_eq!(turn(&[], from_the_peer.as_bytes()), 0);
     assert_eq!(turn(second, &[]), 1);
     assert!(kept.now() > at(NOW / 2), "the frame has told the time");
+    let shown = format!("{kept:?}");
+    assert!(shown.starts_with("Kept { clock: Clock {"), "{shown}");
 }
 
 #[test]
@@ -230,9 +232,7 @@ fn the_end_of_time_is_told() {
         page_size: 1,
         ..REGION
     };
-    let error = Kept::new(&mut flash, nowhere, || 0)
-        .err()
-        .expect("no region");
+    let error = Kept::new(&mut flash, nowhere, || 0).expect_err("no region");
     let source = error.source().expect("the flash's own");
     assert_eq!(source.to_string(), error.to_string());
 }
@@ -298,6 +298,18 @@ fn a_key_that_cannot_be_read_is_not_taken_for_none() {
     flash.spoil(PAGE_SIZE + WORD_SIZE);
     let (slots, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
     assert!(keys.is_none() && !slots.is_empty());
+}
+
+#[test]
+fn without_a_new_key_there_is_no_change_to_store() {
+    let mut flash = Flash::<2>::default();
+    let (mut slots, _) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
+    for change in [KeyChange::Confirm, KeyChange::Retire, KeyChange::Withdraw] {
+        assert_eq!(slots.store(change), Err(NotStored), "{change:?}");
+    }
+    let (_, keys) = KeySlots::open::<Hmac>(&mut flash, REGION).expect("fits");
+    assert_eq!(keys.map(|keys| keys.phase()), Some(Phase::Settled));
 }
 
 #[test]

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_commsec::radio::{Request, Status};
-use mavlink_commsec::{Credential, Key, Opener, PermitError, Sealer, SenderId, hx, packets};
+use mavlink_commsec::{
+    Credential, Key, OpenError, Opener, PermitError, SealError, Sealer, SenderId, hx, packets,
+};
 use mavlink_signing::crc::checksum;
 use mavseal_relay::sealed::{
     ACCEPTED_RESERVATION, Counters, End, Event, Marks, Radio, Refusal, SENT_RESERVATION,
@@ -640,6 +642,22 @@ fn keys_that_are_none_are_told() {
     let all_zero = Some(PermitError::Key(mavlink_commsec::KeyError::AllZero));
     assert_eq!(end(&zero, &[STATION]), all_zero);
     assert_eq!(end(&STATION, &[zero]), all_zero);
+}
+
+#[test]
+fn every_error_is_told_apart() {
+    for (error, refusal) in [
+        (OpenError::KeyWornOut, Refusal::KeyWornOut),
+        (OpenError::BadTag, Refusal::BadTag),
+        (OpenError::WrongLength(95), Refusal::WrongLength),
+    ] {
+        assert_eq!(Refusal::from(error), refusal);
+    }
+    assert_eq!(
+        Refusal::from(SealError::CounterExhausted),
+        Refusal::CounterExhausted
+    );
+    assert_eq!(Refusal::from(SealError::Cipher), Refusal::CipherFailed);
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The store over a flash in RAM: cut, failing, spoiled, full.
 
+use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use mavseal_store::{
     Journal, Mark, OpenError, Region, ReserveError, StoreError,
     model::{Flash, PAGE_SIZE, WORD_SIZE},
@@ -41,6 +42,30 @@ fn what_was_stored_last_is_found() {
     // 128 records of 16 bytes in a page; the first needs no erase.
     assert_eq!(flash.writes(), 2000);
     assert_eq!(flash.erases(), 1000 / 128);
+}
+
+#[test]
+fn a_record_lies_in_the_flash_as_described() {
+    let mut flash = Memory::default();
+    let (mut journal, _) = open::<8>(&mut flash);
+    journal.append(&141_u64.to_le_bytes()).expect("stored");
+    let mut record = [0; 16];
+    flash.read(0, &mut record).expect("written");
+    // Contents, sequence number, and the CRC-32 of both, as zlib computes it.
+    let described = [
+        &[141, 0, 0, 0, 0, 0, 0, 0][..],
+        &[0; 4],
+        &0x85BD_A861_u32.to_le_bytes(),
+    ];
+    assert_eq!(record, *described.concat());
+
+    for damaged in 0..16 {
+        let mut flash = Memory::default();
+        record[damaged] ^= 0x10;
+        flash.write(0, &record).expect("erased");
+        assert_eq!(newest::<8>(&mut flash), None, "byte {damaged}");
+        record[damaged] ^= 0x10;
+    }
 }
 
 /// Power fails inside each step of many writes, with everything that it can leave.

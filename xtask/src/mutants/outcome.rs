@@ -223,14 +223,16 @@ impl Survivors {
             }
         }
         for survivor in &self.survivors {
-            let mut named = tried
+            let named = tried
                 .iter()
                 .filter(|(name, mutant)| survivor.names(name, mutant));
-            let fault = match named.next() {
-                None if all => "exists no longer",
-                Some((_, mutant)) if !mutant.survived() => "survives no longer",
-                _ if named.next().is_some() => "is not one mutant",
-                _ => continue,
+            let survived: Vec<_> = named.map(|(_, mutant)| mutant.survived()).collect();
+            // Another of the same name may have been noticed: one that is compiled otherwise.
+            let fault = match survived.iter().filter(|survived| **survived).count() {
+                0 if !survived.is_empty() => "survives no longer",
+                0 if all => "exists no longer",
+                0 | 1 => continue,
+                _ => "is not one mutant",
             };
             faults.push(format!("{SURVIVORS}: {fault}: {}", survivor.mutant));
         }
