@@ -68,6 +68,19 @@ fn a_record_lies_in_the_flash_as_described() {
     }
 }
 
+#[test]
+fn the_last_number_is_not_that_of_erased_flash() {
+    let mut flash = Memory::default();
+    // Number 2^32 - 2, and the CRC-32 as zlib computes it.
+    let parts = [0xFFFF_FFFE_u32, 0x694A_6866].map(u32::to_le_bytes);
+    let record = [&7_u64.to_le_bytes()[..], &parts.concat()].concat();
+    flash.write(0, &record).expect("erased");
+    let (mut journal, found) = open::<8>(&mut flash);
+    assert_eq!(found, Some(7_u64.to_le_bytes()));
+    assert_eq!(journal.append(&[8; 8]), Err(StoreError::Exhausted));
+    assert_eq!(journal.newest(), found);
+}
+
 /// Power fails inside each step of many writes, with everything that it can leave.
 fn survives_every_cut<const N: usize>(records: u32) {
     let steps = records * (N as u32 + 8) / WORD_SIZE as u32 + 8;
