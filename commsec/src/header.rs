@@ -116,14 +116,15 @@ impl EpochHeader {
 }
 
 /// An epoch and a counter in it. Of two, that of the later epoch is the later one, whatever the counters.
+///
+/// Receivers also take the counter 0, with which the draft begins, in every epoch but the first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochCounter {
     // In front of the counter, since the derived order compares it first.
     /// Which start of the sender: 0 to 2^16 - 2.
     pub epoch: u16,
-    /// The place in the epoch: 1 to 2^32 - 2. Receivers also take 0, with which the draft begins, but in epoch
-    /// 0.
+    /// The place in the epoch: 1 to 2^32 - 2.
     pub counter: u32,
 }
 

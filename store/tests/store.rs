@@ -1,5 +1,7 @@
 //! The store over a flash in RAM: cut, failing, spoiled, full.
 
+use std::error::Error;
+
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use mavseal_store::{
     Journal, Mark, OpenError, Region, ReserveError, StoreError,
@@ -379,4 +381,8 @@ fn what_is_wrong_is_said() {
             "all sequence numbers are used up",
         ]
     );
+    let store = ReserveError::Store(StoreError::Write);
+    let source = store.source().and_then(|source| source.downcast_ref());
+    assert_eq!(source, Some(&StoreError::Write));
+    assert!(ReserveError::Exhausted.source().is_none());
 }
