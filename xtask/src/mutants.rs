@@ -94,7 +94,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let before = options.survivors.then(|| survived(&root, &hashes));
     let before = before.transpose()?;
     let patterns: Vec<_> = match &before {
-        Some(results) => results.survivors().map(regex::escape).collect(),
+        Some(results) => results.survivors().into_iter().collect(),
         None => options.only.iter().cloned().collect(),
     };
     let limit = baseline(&tree, &folder)?;
@@ -111,7 +111,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
     let results = match before {
         Some(mut results) => {
-            outcome::merge(&mut results.mutants, tried);
+            results.retry(&tried);
             results.hashes = hashes;
             results.survivors_again = Some(today()?);
             results
@@ -148,7 +148,7 @@ fn survived(root: &Path, now: &Hashes) -> Result<Results> {
         results.hashes.code == now.code,
         "the code has changed since"
     );
-    ensure!(results.survivors().next().is_some(), "nothing has survived");
+    ensure!(!results.survivors().is_empty(), "nothing has survived");
     Ok(results)
 }
 

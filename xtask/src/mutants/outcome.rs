@@ -1,6 +1,10 @@
 //! What became of each mutant, and why some may survive.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    path::Path,
+};
 
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
@@ -100,10 +104,33 @@ impl Results {
         fs::write(root.join(RESULTS), text).context(RESULTS)
     }
 
-    /// The names of those that survived.
-    pub(super) fn survivors(&self) -> impl Iterator<Item = &str> {
+    /// Regular expressions for the names of those that survived, wherever they are in their files now.
+    pub(super) fn survivors(&self) -> BTreeSet<String> {
         let survived = self.mutants.iter().filter(|(_, mutant)| mutant.survived());
-        survived.map(|(name, _)| name.as_str())
+        let names = survived.filter_map(|(name, _)| Name::parse(name));
+        let pattern = |name: Name<'_>| {
+            let [file, change] = [name.file, name.change].map(regex::escape);
+            format!(r"^{file}:\d+:\d+:{change}$")
+        };
+        names.map(pattern).collect()
+    }
+
+    /// Adds what came out of survivors that were tried again, which may have moved in their files.
+    pub(super) fn retry(&mut self, tried: &BTreeMap<String, Mutant>) {
+        for (key, now) in in_order(tried) {
+            let before = in_order(&self.mutants).remove(&key).unwrap_or_default();
+            // As many as there were, and so the same ones.
+            if before.len() != now.len() {
+                continue;
+            }
+            for (before, now) in before.iter().zip(now) {
+                if tried[&now].fate == Fate::Killed
+                    && let Some(mutant) = self.mutants.get_mut(before)
+                {
+                    mutant.fate = Fate::Killed;
+                }
+            }
+        }
     }
 
     /// Of one package, or of all.
@@ -174,12 +201,46 @@ fn changed_line(diff: &str) -> String {
     line.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// A mutant's name without its place in the file, which other changes move.
-fn without_place(name: &str) -> Option<String> {
-    let mut parts = name.splitn(4, ':');
-    let (file, _line, _column, change) =
-        (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
-    Some(format!("{file}:{change}"))
+/// A mutant's name, as cargo-mutants writes it.
+struct Name<'a> {
+    file: &'a str,
+    /// Line and column, which other changes move.
+    place: (usize, usize),
+    change: &'a str,
+}
+
+impl<'a> Name<'a> {
+    fn parse(name: &'a str) -> Option<Self> {
+        let mut parts = name.splitn(4, ':');
+        Some(Self {
+            file: parts.next()?,
+            place: (parts.next()?.parse().ok()?, parts.next()?.parse().ok()?),
+            change: parts.next()?,
+        })
+    }
+
+    fn without_place(&self) -> String {
+        format!("{}:{}", self.file, self.change)
+    }
+}
+
+/// The names of mutants that differ in nothing but their place, in its order.
+fn in_order(mutants: &BTreeMap<String, Mutant>) -> BTreeMap<(String, String), Vec<String>> {
+    let mut alike: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    for (full, mutant) in mutants {
+        if let Some(name) = Name::parse(full) {
+            let key = (name.without_place(), mutant.line.clone());
+            alike
+                .entry(key)
+                .or_default()
+                .push((name.place, full.clone()));
+        }
+    }
+    let sorted = alike.into_iter().map(|(key, mut names)| {
+        names.sort();
+        (key, names.into_iter().map(|(_, name)| name).collect())
+    });
+    sorted.collect()
 }
 
 /// The mutants that may survive, and why.
@@ -242,7 +303,8 @@ impl Survivors {
 
 impl Survivor {
     fn names(&self, name: &str, mutant: &Mutant) -> bool {
-        without_place(name).as_ref() == Some(&self.mutant) && mutant.line == self.line
+        let name = Name::parse(name).map(|name| name.without_place());
+        name.as_ref() == Some(&self.mutant) && mutant.line == self.line
     }
 }
 
@@ -288,6 +350,45 @@ mod tests {
         assert_eq!(faults(&["another"], Fate::Killed), 1);
         let some = survivors(&["another"]).faults(&tried(Fate::Killed), false);
         assert!(some.is_empty(), "{some:?}");
+    }
+
+    #[test]
+    fn a_survivor_is_found_again_where_it_has_moved_to() {
+        let mutant = |fate| Mutant {
+            package: "core".into(),
+            line: "0".into(),
+            fate,
+        };
+        let named = |name: &str| format!("core/src/a.rs:{name}: replace sum -> u32 with 0");
+        let mut results = Results {
+            date: String::new(),
+            minutes: 0.0,
+            cores: 2,
+            jobs: 2,
+            cargo_mutants: String::new(),
+            rustc: String::new(),
+            hashes: Hashes {
+                code: String::new(),
+                all: String::new(),
+            },
+            survivors_again: None,
+            mutants: ["9:5", "10:5"]
+                .map(|place| (named(place), mutant(Fate::Survived)))
+                .into(),
+        };
+        let patterns = results.survivors();
+        assert_eq!(
+            patterns.into_iter().collect::<Vec<_>>(),
+            [r"^core/src/a\.rs:\d+:\d+: replace sum \-> u32 with 0$"]
+        );
+        let first = (named("99:5"), mutant(Fate::Killed));
+        let second = (named("100:5"), mutant(Fate::Survived));
+        results.retry(&[first, second].into());
+        assert_eq!(results.mutants[&named("9:5")].fate, Fate::Killed);
+        assert_eq!(results.mutants[&named("10:5")].fate, Fate::Survived);
+        // It cannot be told which of both this is.
+        results.retry(&[(named("100:5"), mutant(Fate::Killed))].into());
+        assert_eq!(results.mutants[&named("10:5")].fate, Fate::Survived);
     }
 
     #[test]
