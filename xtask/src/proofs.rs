@@ -234,6 +234,8 @@ impl Run {
                 let known = |name: &String| self.project.mutants.iter().any(|m| m.name == *name);
                 results.mutants.retain(|name, _| known(name));
             })?;
+        } else {
+            self.record(|results| results.full_run = None)?;
         }
         let failed = Vec::from_iter(proved?).join(", ");
         ensure!(failed.is_empty(), "not proved: {failed}");

@@ -255,9 +255,9 @@ fn conditions(project: &Project, results: &Results, text: &mut String) {
         text.push_str("No result of these sources yet.\n");
     }
     let known = |version: &Option<String>| version.clone().unwrap_or_else(|| "unknown".to_owned());
-    for ((kani, cbmc, rustc, cores), dates) in runs {
+    for ((kani, cbmc, rustc, cores), dates) in &runs {
         let (cbmc, rustc) = (known(cbmc), known(rustc));
-        let dates = Vec::from_iter(dates).join(", ");
+        let dates = Vec::from_iter(dates.iter().copied()).join(", ");
         let _ = writeln!(
             text,
             "Kani {kani}, CBMC {cbmc}, rustc {rustc}, {cores} cores, {dates}. Time is the \
@@ -271,6 +271,8 @@ fn conditions(project: &Project, results: &Results, text: &mut String) {
             "The last full run took {minutes:.1} minutes, {} harnesses at a time on {} cores, {}.",
             run.jobs, run.cores, run.date
         );
+    } else if !runs.is_empty() {
+        text.push_str("These are of several runs, each of a part.\n");
     }
 }
 
