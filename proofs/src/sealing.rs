@@ -302,8 +302,8 @@ mod twins {
 mod harness {
     use super::*;
 
-    // Errors, of a cipher that fails and of counters used up, are for the twins: Kani 0.67 takes the error that `?` hands on in a result as large as
-    // a package's for no error at all, or for another one.
+    // Errors, of a cipher that fails and of counters used up, are for the twins: Kani 0.67 takes the error
+    // that `?` hands on in a result as large as a package's for no error at all, or for another one.
 
     #[kani::proof]
     #[kani::unwind(97)]

@@ -35,8 +35,11 @@ impl<T: PartialEq> Runs<T> {
     }
 }
 
-/// Logs so many refusals in a row.
-pub fn log_refused(direction: Direction, reason: &str, times: u32) {
-    info!("{} refused: {}, {} times", direction, reason, times);
-    let _ = (direction, reason, times);
+/// Logs refusals in a row, if there are any.
+pub fn log_refused(run: Option<((Direction, impl Into<&'static str>), u32)>) {
+    if let Some(((direction, refusal), times)) = run {
+        let reason: &str = refusal.into();
+        info!("{} refused: {}, {} times", direction, reason, times);
+        let _ = (direction, reason, times);
+    }
 }

@@ -117,8 +117,9 @@ impl Results {
 
     /// Adds what came out of survivors that were tried again, which may have moved in their files.
     pub(super) fn retry(&mut self, tried: &BTreeMap<String, Mutant>) {
+        let mut all = in_order(&self.mutants);
         for (key, now) in in_order(tried) {
-            let before = in_order(&self.mutants).remove(&key).unwrap_or_default();
+            let before = all.remove(&key).unwrap_or_default();
             // As many as there were, and so the same ones.
             if before.len() != now.len() {
                 continue;

@@ -239,6 +239,7 @@ fn repeated<'a>(names: impl Iterator<Item = &'a str>) -> impl Iterator<Item = &'
     let mut seen = BTreeSet::new();
     names.filter(move |name| !seen.insert(*name))
 }
+
 /// The package and the module that `harness` is in.
 fn place(harness: &Harness) -> (String, String) {
     let module = harness.path.split("::").next().unwrap_or_default();

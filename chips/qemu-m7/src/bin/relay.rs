@@ -178,7 +178,7 @@ struct Log {
 impl Log {
     fn event(&mut self, event: Event) {
         if let Event::Refused(direction, refusal) = event {
-            log_run(self.refused.push((direction, refusal)));
+            log_refused(self.refused.push((direction, refusal)));
         }
     }
 
@@ -187,16 +187,10 @@ impl Log {
             self.moved = Some(now);
         } else if self.moved.is_some_and(|last| now.ticks_since(last) > QUIET) {
             self.moved = None;
-            log_run(self.refused.take());
+            log_refused(self.refused.take());
             log_counters("signed", relay.plain_to_secure());
             log_counters("verified", relay.secure_to_plain());
         }
-    }
-}
-
-fn log_run(run: Option<((Direction, Refusal), u32)>) {
-    if let Some(((direction, refusal), times)) = run {
-        log_refused(direction, refusal.as_str(), times);
     }
 }
 

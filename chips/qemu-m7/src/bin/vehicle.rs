@@ -116,7 +116,7 @@ impl Log {
         self.news = Some(now);
         match event {
             Event::Refused(direction, refusal) => {
-                log_run(self.refused.push((direction, refusal)));
+                log_refused(self.refused.push((direction, refusal)));
             }
             Event::Opened(sender) => {
                 let mut opened = PEERS.iter().zip(&mut self.opened);
@@ -135,7 +135,7 @@ impl Log {
             .is_some_and(|last| now.saturating_sub(last) > QUIET);
         if quiet {
             self.news = None;
-            log_run(self.refused.take());
+            log_refused(self.refused.take());
         }
         quiet
     }
@@ -145,12 +145,6 @@ impl Log {
             info!("opened of sender {}: {}", peer.id.0, count);
             let _ = (peer, count);
         }
-    }
-}
-
-fn log_run(run: Option<((Direction, Refusal), u32)>) {
-    if let Some(((direction, refusal), times)) = run {
-        log_refused(direction, refusal.as_str(), times);
     }
 }
 
