@@ -68,7 +68,7 @@ struct Used {
 }
 
 /// An end over its restarts: no stamp is given twice (T1, T2), no frame accepted twice (R3); what is refused
-/// moves no clock, what is not trusted moves it by a second at most, and a clock that knows the time accepts
+/// changes no receiver and moves no clock, what is not trusted moves it by a second at most, and a clock that knows the time accepts
 /// nothing outside of the window.
 pub fn kept_link(input: &End) {
     let timer = Cell::new(0);
@@ -224,12 +224,14 @@ impl<T: FnMut() -> u64> Run<T> {
         let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
         let authentic = authenticate(frame, &*KEY).expect("signed with this key");
         let sync = self.kept.sync();
+        let last = self.receiver.last();
         let verdict = self.kept.admit(&mut self.receiver, authentic).map(drop);
         reached(verdict.map_err(Refusal::from));
         reached(verdict);
         let after = self.kept.now();
         let off = before.ticks().abs_diff(timestamp.ticks());
         if verdict.is_err() {
+            assert_eq!(self.receiver.last(), last);
             assert_eq!(after, before);
             assert_eq!(self.kept.sync(), sync);
         } else {

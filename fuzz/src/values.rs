@@ -3,6 +3,7 @@
 use mavlink_signing::{
     Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Timestamp, passphrase_key,
 };
+use mavseal_proofs::keeper::{self, Model};
 use mavseal_proofs::{checksum, replay, stamp, table};
 
 use crate::input::{Message, Moment, Receiver, Stamped, input};
@@ -89,10 +90,19 @@ input! {
         pub sender: Stamped,
         /// The receiver.
         pub receiver: Receiver,
+        /// What else comes after a restart.
+        pub earlier: Stamped,
+        /// The mark that is stored.
+        pub mark: Moment,
+        /// How many ticks ahead a mark is stored.
+        pub ahead: u16,
+        /// The memory does not store.
+        pub broken: bool,
     }
 }
 
-/// Two stamps of a sender (T1), and one step of a receiver that is given the mark (R1).
+/// Two stamps of a sender (T1), and one step of a receiver that is given the mark (R1); both with a memory
+/// that may fail, and after a restart (T1, R3).
 pub fn stamps(input: &Clocks) {
     let now = input.now.map(Moment::timestamp);
     for moment in now {
@@ -106,4 +116,27 @@ pub fn stamps(input: &Clocks) {
     let Stamped { link_id, moment } = input.sender;
     reached(stamp::two_stamps(link_id, moment.timestamp(), now));
     replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
+    let memory = Model {
+        now: now[0],
+        mark: input.mark.timestamp().ticks(),
+        ahead: input.ahead.into(),
+        broken: input.broken,
+        heard: 0,
+    };
+    let mut keeper = memory;
+    let mark = |keeper: &Model| keeper.mark;
+    reached(keeper::stamps(
+        moment.timestamp(),
+        &mut keeper,
+        mark,
+        now[1],
+    ));
+    reached(keeper::accepts(
+        &KEY,
+        input.receiver.into(),
+        memory,
+        input.sender.into(),
+        input.earlier.into(),
+        now[1],
+    ));
 }

@@ -522,13 +522,8 @@ fn errors_of_the_core_are_reasons() {
 #[test]
 fn what_is_wrong_is_said() {
     let words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
-    assert_eq!(
-        words,
-        Refusal::ALL
-            .iter()
-            .map(|reason| reason.as_str())
-            .collect::<Vec<_>>()
-    );
+    let same = |reason: &Refusal| reason.to_string() == reason.as_str();
+    assert!(Refusal::ALL.iter().all(same));
     assert_eq!(
         words,
         [

@@ -663,13 +663,8 @@ fn every_error_is_told_apart() {
 #[test]
 fn every_reason_has_words_of_its_own() {
     let mut words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
-    assert_eq!(
-        words,
-        Refusal::ALL
-            .iter()
-            .map(|reason| reason.as_str())
-            .collect::<Vec<_>>()
-    );
+    let same = |reason: &Refusal| reason.to_string() == reason.as_str();
+    assert!(Refusal::ALL.iter().all(same));
     words.sort();
     words.dedup();
     assert_eq!(words.len(), Refusal::ALL.len());

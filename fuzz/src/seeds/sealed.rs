@@ -5,29 +5,10 @@ use mavseal_proofs::link::Step;
 use super::Seeds;
 use crate::sealed::{Arrival, Gcm, History, Line, Packets, Sealing, Shape};
 
-/// As SMACCMPilot's template of Keys.mk has it, with other keys.
-const KEYS_MK: &str = "\
-# IDs must be 0 <= key < 16 currently
-UAV_ID=7
-BASE_ID=5
-UAV_KEY=[115,14,13,12,11,10,9,8,7,6,5,4,3,2,1,0]
-BASE_KEY=[100,1,2,3,4,5,6,7,8,9,10,11,12,13,14,15]
-UAV_SALT=9219834
-BASE_SALT=017235
-";
-
-const TOML: &str = r#"header = "id-counter"
-
-[vehicle]
-id = 0
-key = "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab"
-salt = 3735928559
-
-[[station]]
-id = 1
-key = "8e1f7b2ce4c2935808de17ab4f5c6e22"
-salt = 305419896
-"#;
+/// As SMACCMPilot's template has it: with keys that are published.
+const KEYS_MK: &str = include_str!("../../../keys/tests/keys/smaccmpilot.mk");
+/// A vehicle and two stations.
+const TOML: &str = include_str!("../../../keys/tests/keys/two_stations.toml");
 
 impl Seeds {
     pub(super) fn sealed(&mut self) {
@@ -353,61 +334,44 @@ impl Seeds {
     }
 
     fn key_files(&mut self) {
-        let second = TOML.replace("id = 1", "id = 2").replace("8e1f", "8e2f");
-        let station = second.split_once("[[").map_or("", |(_, station)| station);
-        let two = format!("{TOML}\n[[{station}");
-        let shared = two.replace("8e2f", "8e1f");
-        let epochs = TOML.replace("id-counter", "counter-epoch-id");
+        let keys_mk = KEYS_MK.replace("[15,", "[115,").replace("[0,", "[100,");
+        let one = TOML.rsplit_once("\n[[").map_or("", |(one, _)| one);
+        let vehicle_key = "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab";
+        let station_key = "8e1f7b2ce4c2935808de17ab4f5c6e22";
+        let shared = TOML.replace("8E1F7B2CE4C2935808DE17AB4F5C6E23", station_key);
+        let epochs = one.replace("id-counter", "counter-epoch-id");
         for (name, text) in [
-            ("keys_mk", KEYS_MK.to_owned()),
-            (
-                "keys_mk_published",
-                KEYS_MK.replace("[115,", "[15,").replace("[100,", "[0,"),
-            ),
-            ("keys_mk_id_out_of_range", KEYS_MK.replace("ID=7", "ID=16")),
-            ("keys_mk_unknown_variable", KEYS_MK.replace("UAV_ID", "UAV")),
-            ("keys_mk_key_too_short", KEYS_MK.replace("[115,", "[")),
-            ("keys_mk_spaces", KEYS_MK.replace('=', " := ")),
+            ("keys_mk", keys_mk.clone()),
+            ("keys_mk_published", KEYS_MK.to_owned()),
+            ("keys_mk_id_out_of_range", keys_mk.replace("ID=7", "ID=16")),
+            ("keys_mk_unknown_variable", keys_mk.replace("UAV_ID", "UAV")),
+            ("keys_mk_key_too_short", keys_mk.replace("[115,", "[")),
+            ("keys_mk_spaces", keys_mk.replace('=', " := ")),
             (
                 "two_headers",
-                TOML.replace("salt", "header = \"id-counter\"\nsalt"),
+                one.replace("salt", "header = \"id-counter\"\nsalt"),
             ),
             (
                 "epochs_id_too_large",
                 epochs.replace("id = 1", "id = 65536"),
             ),
-            ("unknown_header", TOML.replace("id-counter", "epoch")),
-            (
-                "key_of_zeros",
-                TOML.replace("c6dd2b4f9f8d5a6c01f2d8c37b0e94ab", &"0".repeat(32)),
-            ),
-            (
-                "key_of_ones",
-                TOML.replace("c6dd2b4f9f8d5a6c01f2d8c37b0e94ab", &"f".repeat(32)),
-            ),
-            ("key_too_short", TOML.replace("c6dd2b4f", "")),
+            ("unknown_header", one.replace("id-counter", "epoch")),
+            ("key_of_zeros", one.replace(vehicle_key, &"0".repeat(32))),
+            ("key_of_ones", one.replace(vehicle_key, &"f".repeat(32))),
+            ("key_too_short", one.replace("c6dd2b4f", "")),
             (
                 "published_key",
-                TOML.replace(
-                    "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab",
-                    "000102030405060708090a0b0c0d0e0f",
-                ),
+                one.replace(vehicle_key, "000102030405060708090a0b0c0d0e0f"),
             ),
-            ("key_not_quoted", TOML.replace('"', "")),
-            (
-                "vehicle_key_shared",
-                TOML.replace(
-                    "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab",
-                    "8e1f7b2ce4c2935808de17ab4f5c6e22",
-                ),
-            ),
-            ("id_twice", two.replace("id = 2", "id = 1")),
+            ("key_not_quoted", one.replace('"', "")),
+            ("vehicle_key_shared", one.replace(vehicle_key, station_key)),
+            ("id_twice", TOML.replace("id = 4000000000", "id = 1")),
             (
                 "no_station",
-                TOML.split("[[").next().unwrap_or_default().to_owned() + "station = []\n",
+                one.split("[[").next().unwrap_or_default().to_owned() + "station = []\n",
             ),
-            ("toml", TOML.to_owned()),
-            ("two_stations", two),
+            ("toml", one.to_owned()),
+            ("two_stations", TOML.to_owned()),
             ("shared_station_key", shared),
             ("epochs", epochs),
         ] {

@@ -76,8 +76,17 @@ impl Seeds {
                 sender,
                 receiver,
                 now: now.map(Moment::after_now),
+                earlier: sender,
+                mark: first,
+                ahead: 20,
+                broken: false,
             };
             self.add("stamps", name, &input);
+            let input = Clocks {
+                broken: true,
+                ..input
+            };
+            self.add("stamps", &format!("{name}_not_stored"), &input);
         }
         for (name, before) in [
             ("last_stamp", 0),
@@ -93,6 +102,10 @@ impl Seeds {
                     sender,
                     receiver,
                     now: [moment; 2],
+                    earlier: sender,
+                    mark: moment,
+                    ahead: 20,
+                    broken: false,
                 },
             );
         }

@@ -7,34 +7,8 @@ use mavseal_keys::{Exceptions, Header, KeyFile, KeyFileError, MAX_STATIONS, Send
 mod constants;
 
 /// As the template of SMACCMPilot has it.
-const KEYS_MK: &str = "\
-# IDs must be 0 <= key < 16 currently
-UAV_ID=7
-BASE_ID=5
-UAV_KEY=[15,14,13,12,11,10,9,8,7,6,5,4,3,2,1,0]
-BASE_KEY=[0,1,2,3,4,5,6,7,8,9,10,11,12,13,14,15]
-UAV_SALT=9219834
-BASE_SALT=017235
-";
-
-const TOML: &str = r#"
-header = "id-counter"
-
-[vehicle]
-id = 0
-key = "c6dd2b4f9f8d5a6c01f2d8c37b0e94ab"
-salt = 3735928559
-
-[[station]]
-id = 1
-key = "8e1f7b2ce4c2935808de17ab4f5c6e22"
-salt = 305419896
-
-[[station]]
-id = 4000000000
-key = "8E1F7B2CE4C2935808DE17AB4F5C6E23"
-salt = 0
-"#;
+const KEYS_MK: &str = include_str!("smaccmpilot.mk");
+const TOML: &str = include_str!("two_stations.toml");
 
 const PUBLISHED: Exceptions = Exceptions {
     published_keys: true,
