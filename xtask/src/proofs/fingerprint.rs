@@ -196,9 +196,10 @@ fn hex(bytes: &[u8]) -> String {
 fn workspace(root: &Path) -> Result<Value> {
     let mut manifest: Value = toml::from_str(&fs::read_to_string(root.join("Cargo.toml"))?)?;
     if let Some(profiles) = manifest["profile"].as_object_mut() {
-        // How single packages are optimised changes no result.
-        let tables = profiles.values_mut().filter_map(Value::as_object_mut);
-        tables.for_each(|profile| drop(profile.remove("package")));
+        // How single packages are optimised changes no result, nor does what a debugger is told.
+        for profile in profiles.values_mut().filter_map(Value::as_object_mut) {
+            profile.retain(|key, _| !["package", "debug"].contains(&key.as_str()));
+        }
         profiles.retain(|_, profile| profile.as_object().is_none_or(|keys| !keys.is_empty()));
     }
     let config = fs::read_to_string(root.join(".cargo/config.toml")).unwrap_or_default();
