@@ -37,8 +37,8 @@ pub(crate) struct Options {
     /// Only this property, for example V1; may be repeated
     #[arg(long, value_name = "ID")]
     only: Vec<String>,
-    /// Only harnesses that are not verified yet on these sources
-    #[arg(long, conflicts_with = "mutants")]
+    /// Only harnesses that are not verified, or mutants that are not noticed, yet on these sources
+    #[arg(long)]
     stale: bool,
     /// Run nothing; fail if something is missing or verification.md does not say what the results say
     #[arg(long, conflicts_with_all = ["fast", "only", "stale", "mutants"])]
@@ -75,7 +75,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let run = Run::new(options, true)?;
     let census = run.project.census(&run.snapshot.tree());
     let outcome = if options.mutants {
-        mutants::run(&run)
+        mutants::run(&run, options.stale)
     } else {
         run.all(options)
     };

@@ -14,11 +14,12 @@ use super::{
     workshop::Workshop,
 };
 
-/// Tries the mutants that concern the ids chosen, and the canaries first.
+/// Tries the mutants that concern the ids chosen, and the canaries first; with `stale`, only those that
+/// are not noticed yet on these sources.
 ///
 /// # Errors
 /// If a mutant is not noticed, or the checks themselves misbehave.
-pub(crate) fn run(run: &Run) -> Result<()> {
+pub(crate) fn run(run: &Run, stale: bool) -> Result<()> {
     if run.kani.is_none() {
         println!("cargo kani is not installed: only the twins are tried, nothing is proved");
     }
@@ -26,7 +27,16 @@ pub(crate) fn run(run: &Run) -> Result<()> {
     let chosen = |mutant: &&Mutant| mutant.ids().iter().any(|id| run.wanted(id));
     let (canaries, mutants): (Vec<_>, Vec<_>) =
         all.iter().partition(|mutant| mutant.canary.is_some());
-    let mutants: Vec<_> = mutants.into_iter().filter(chosen).collect();
+    let mut mutants: Vec<_> = mutants.into_iter().filter(chosen).collect();
+    if stale {
+        let results = Results::load(&run.root)?;
+        let noticed = |mutant: &Mutant| {
+            let ids = mutant.ids().into_iter().filter(|id| run.wanted(id));
+            let mut fates = ids.map(|id| table::fate(&run.project, &results, mutant, &id));
+            fates.all(|fate| fate.is_ok_and(|fate| fate == table::KILLED))
+        };
+        mutants.retain(|mutant| !noticed(mutant));
+    }
 
     let unproved = baseline(run, &canaries, &mutants)?;
     let attempt = |workshop: &Workshop, mutant: &Mutant, harnesses: &[String], twins: &_| {

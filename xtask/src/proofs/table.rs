@@ -198,7 +198,7 @@ fn mutants(project: &Project, results: &Results, id: &str) -> Result<String> {
     let mut others: BTreeMap<&str, usize> = BTreeMap::new();
     for mutant in &mutants {
         match fate(project, results, mutant, id)? {
-            "killed" => killed += 1,
+            KILLED => killed += 1,
             other => *others.entry(other).or_default() += 1,
         }
     }
@@ -209,7 +209,16 @@ fn mutants(project: &Project, results: &Results, id: &str) -> Result<String> {
     Ok(text)
 }
 
-fn fate(project: &Project, results: &Results, mutant: &Mutant, id: &str) -> Result<&'static str> {
+/// What became of a mutant whose harnesses and twins all noticed it.
+pub(crate) const KILLED: &str = "killed";
+
+/// What the harnesses and twins of the property `id` made of `mutant`, in words.
+pub(crate) fn fate(
+    project: &Project,
+    results: &Results,
+    mutant: &Mutant,
+    id: &str,
+) -> Result<&'static str> {
     let Some(trial) = results.mutants.get(&mutant.name) else {
         return Ok("not yet run");
     };
@@ -234,7 +243,7 @@ fn fate(project: &Project, results: &Results, mutant: &Mutant, id: &str) -> Resu
     } else if fates.contains(&None) {
         "not yet run"
     } else if fates.iter().all(|fate| *fate == Some(&Fate::Killed)) {
-        "killed"
+        KILLED
     } else {
         "**without verdict**"
     })
