@@ -1,9 +1,13 @@
 //! Runs a target on files, without an engine: `cargo run --no-default-features --example replay -- TARGET
-//! FILE...`. Folders stand for all files in them; then it prints which errors came out.
+//! FILE...`. Folders stand for all files in them; then it prints which errors came out. A file that is too short
+//! to be an input is named instead of run.
 
 use std::{env, error::Error, fs, path::PathBuf};
 
 use mavseal_fuzz::{TARGETS, reached};
+
+/// Before the name of such a file.
+const NO_INPUT: &str = "no input: ";
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = env::args_os().skip(1);
@@ -19,7 +23,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             vec![path]
         };
         for file in files {
-            (target.run)(&fs::read(file)?);
+            if !(target.run)(&fs::read(&file)?) {
+                eprintln!("{NO_INPUT}{}", file.display());
+            }
         }
     }
     for error in reached::errors() {

@@ -2,7 +2,7 @@
 
 use std::{
     path::{Path, PathBuf},
-    process::Command,
+    process::{Command, Output},
 };
 
 use anyhow::{Context, Result, ensure};
@@ -54,15 +54,33 @@ impl Replay {
             .args(folders.filter(|folder| folder.is_dir()));
         replay
     }
+
+    /// Which files in a folder of `fuzz/` are too short to be inputs of the target.
+    ///
+    /// # Errors
+    /// If the target fails on one that is.
+    pub(super) fn no_inputs(&self, target: &str, folder: &str) -> Result<Vec<PathBuf>> {
+        let output = run(&mut self.command(target, &[folder]))?;
+        let said = String::from_utf8(output.stderr)?;
+        let names = said.lines().filter_map(|line| line.strip_prefix(NO_INPUT));
+        Ok(names.map(PathBuf::from).collect())
+    }
 }
+
+/// What the example says before the name of such a file.
+const NO_INPUT: &str = "no input: ";
 
 /// What `command` printed, if it succeeded.
 ///
 /// # Errors
 /// If it did not.
 pub(super) fn succeed(command: &mut Command) -> Result<String> {
+    Ok(String::from_utf8(run(command)?.stdout)?)
+}
+
+fn run(command: &mut Command) -> Result<Output> {
     let output = command.output().with_context(|| format!("{command:?}"))?;
     let said = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{command:?}: {said}");
-    Ok(String::from_utf8(output.stdout)?)
+    Ok(output)
 }

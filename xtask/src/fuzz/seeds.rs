@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 
-use super::{Fuzzer, without_engine};
+use super::{Fuzzer, replay::Replay, without_engine};
 use crate::demo::wire::telemetry_path;
 use crate::proofs::workshop::files;
 use crate::setup::{root, target_dir};
@@ -60,6 +60,7 @@ fn contents(folder: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
 /// # Errors
 /// If the engine fails.
 pub(super) fn minimise(fuzzer: &Fuzzer) -> Result<()> {
+    let replay = Replay::build(&fuzzer.root, &fuzzer.target_dir.join("replay"), "")?;
     for target in &fuzzer.targets {
         let name = &target.name;
         let corpus = fuzzer.root.join("fuzz/corpus").join(name);
@@ -95,7 +96,10 @@ pub(super) fn minimise(fuzzer: &Fuzzer) -> Result<()> {
             fs::create_dir_all(&found)?;
             fs::copy(merged.join(file), found.join(hash.context("a hash")?))?;
         }
-        println!("{name}: {} beside the seeds", kept.len());
+        // To be none is an edge too.
+        let none = replay.no_inputs(name, "found")?;
+        none.iter().try_for_each(fs::remove_file)?;
+        println!("{name}: {} beside the seeds", kept.len() - none.len());
     }
     Ok(())
 }
