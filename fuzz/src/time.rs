@@ -68,8 +68,8 @@ struct Used {
 }
 
 /// An end over its restarts: no stamp is given twice (T1, T2), no frame accepted twice (R3); what is refused
-/// changes no receiver and moves no clock, what is not trusted moves it by a second at most, and a clock that knows the time accepts
-/// nothing outside of the window.
+/// changes no receiver and moves no clock, what is not trusted moves it by a second at most, and a clock that
+/// knows the time accepts nothing outside of the window.
 pub fn kept_link(input: &End) {
     let timer = Cell::new(0);
     let mut flash = Flash::new(input.chance.into());

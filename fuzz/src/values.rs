@@ -90,7 +90,7 @@ input! {
         pub sender: Stamped,
         /// The receiver.
         pub receiver: Receiver,
-        /// What else comes after a restart.
+        /// Another stamp that comes after a restart.
         pub earlier: Stamped,
         /// The mark that is stored.
         pub mark: Moment,
