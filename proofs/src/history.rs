@@ -5,7 +5,7 @@ use mavlink_signing::{
     authenticate, sign_frame,
 };
 
-use crate::HEARTBEAT;
+use crate::model::HEARTBEAT;
 
 /// What may happen on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

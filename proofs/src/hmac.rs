@@ -269,7 +269,7 @@ mod tests {
             timestamp: Timestamp::ZERO,
         };
         for length in 0..=255 {
-            let mut frame = Frame::new(crate::HEARTBEAT, &vec![7; length]).expect("a frame");
+            let mut frame = Frame::new(crate::model::HEARTBEAT, &vec![7; length]).expect("a frame");
             sign_frame(&mut frame, &key, stamp).expect("signed");
             let to_sign = CALLS.take().len();
             let received = FrameRef::parse(frame.as_bytes()).expect("a frame");

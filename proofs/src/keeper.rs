@@ -164,7 +164,7 @@ fn rejects(mut receiver: impl AntiReplay, frame: Authentic<'_>, now: Timestamp) 
 fn signed<P: Profile>(key: &SigningKey<P>, stamp: Stamp) -> Frame {
     let header = Header {
         system_id: stamp.link_id,
-        ..crate::HEARTBEAT
+        ..crate::model::HEARTBEAT
     };
     let mut frame = Frame::new(header, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
@@ -276,7 +276,7 @@ mod tests {
 mod verification {
     use super::*;
     use crate::model::AnyTag;
-    use crate::replay::{any_stamp, any_timestamp};
+    use crate::model::{any_stamp, any_timestamp};
 
     fn any_model() -> Model {
         let mark = kani::any();

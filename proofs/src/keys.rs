@@ -6,7 +6,7 @@ use mavlink_signing::{
     sign_frame,
 };
 
-use crate::HEARTBEAT;
+use crate::model::HEARTBEAT;
 
 /// Which end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -33,17 +33,7 @@ pub mod tamper;
 pub mod unforgeable;
 pub mod unsigned;
 pub mod verify;
-
-use mavlink_signing::{Header, MessageId};
-
-/// The header of a HEARTBEAT, which every dialect has; no two fields alike.
-pub(crate) const HEARTBEAT: Header = Header {
-    compat_flags: 2,
-    sequence: 3,
-    system_id: 4,
-    component_id: 5,
-    message_id: MessageId::from_le_bytes([0, 0, 0]),
-};
+mod wire;
 
 /// One harness for each payload length, with a bound on its loops: what is copied has then a length
 /// that the solver knows, or nearly.

@@ -3,9 +3,11 @@
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, MAGIC, SIGNATURE_SIZE, SIGNED_FLAG};
 use mavlink_signing::{FrameRef, ParseError};
 
+use crate::wire::checksum_is_right;
+
 /// W1: `bytes` are parsed or rejected without a panic; a frame is the front of `bytes`, exactly as
-/// long as its header says, and every accessor agrees with the bytes; an error is the first thing
-/// that is wrong. Returns the frame's length.
+/// long as its header says, and every accessor agrees with the bytes, the one about the checksum with
+/// both of its bytes; an error is the first thing that is wrong. Returns the frame's length.
 ///
 /// # Errors
 ///
@@ -58,7 +60,10 @@ pub fn parse_any(bytes: &[u8], crc_extra: u8) -> Result<usize, ParseError> {
             }
         }
     }
-    let _ = frame.checksum_matches(crc_extra);
+    assert_eq!(
+        frame.checksum_matches(crc_extra),
+        checksum_is_right(bytes, crc_extra)
+    );
     Ok(length)
 }
 
@@ -116,7 +121,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::{any_prefix, set_checksum};
+    use crate::model::any_prefix;
 
     /// Longer than the longest frame, 280 bytes: every frame, and bytes behind it.
     const LENGTH: usize = 300;
@@ -125,10 +130,13 @@ mod verification {
     #[kani::unwind(8)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn w1_parse_any() {
-        set_checksum(kani::any());
         let bytes: [u8; LENGTH] = kani::any();
         let bytes = any_prefix(&bytes);
-        let parsed = parse_any(bytes, kani::any());
+        let crc_extra = kani::any();
+        let parsed = parse_any(bytes, crc_extra);
+        let right = |length| parsed == Ok(length) && checksum_is_right(bytes, crc_extra);
+        kani::cover!(right(280), "undamaged");
+        kani::cover!(parsed == Ok(280) && !right(280), "damaged");
         kani::cover!(parsed == Ok(280), "the longest frame");
         kani::cover!(parsed == Ok(12), "the shortest frame");
         kani::cover!(parsed == Err(ParseError::Truncated), "truncated");

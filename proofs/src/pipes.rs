@@ -193,7 +193,7 @@ fn in_sequence(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, Stamp, sign_frame};
     use proptest::prelude::*;
 

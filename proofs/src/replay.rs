@@ -4,7 +4,7 @@ use mavlink_signing::{
     Frame, FrameRef, Profile, SigningKey, Stamp, Timestamp, VerifyError, authenticate, sign_frame,
 };
 
-use crate::HEARTBEAT;
+use crate::model::HEARTBEAT;
 use crate::model::Resumed;
 
 /// R1, one step from any state: an authentic frame is accepted only for this link, inside the
@@ -14,19 +14,28 @@ use crate::model::Resumed;
 /// Every history is a sequence of such steps, so accepted timestamps strictly increase in every
 /// history.
 ///
+/// # Errors
+///
+/// The verdict, where it is a rejection.
+///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn step<P: Profile>(key: &SigningKey<P>, before: Resumed, stamp: Stamp, now: Timestamp) {
+pub fn step<P: Profile>(
+    key: &SigningKey<P>,
+    before: Resumed,
+    stamp: Stamp,
+    now: Timestamp,
+) -> Result<(), VerifyError> {
     let mut frame = Frame::new(HEARTBEAT, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     let authentic = || authenticate(received, key).expect("signed with this key");
 
     let mut after = before.replay();
-    let accepted = after.admit(authentic(), now).is_ok();
+    let verdict = after.admit(authentic(), now).map(drop);
     let (ticks, now_ticks) = (stamp.timestamp.ticks(), now.ticks());
-    if accepted {
+    if verdict.is_ok() {
         assert_eq!(stamp.link_id, before.link_id);
         assert!(
             before
@@ -46,21 +55,7 @@ pub fn step<P: Profile>(key: &SigningKey<P>, before: Resumed, stamp: Stamp, now:
     }
     assert_eq!(after.link_id(), before.link_id);
     assert_eq!(after.window(), before.window);
-}
-
-/// Any timestamp there is.
-#[cfg(kani)]
-pub(crate) fn any_timestamp() -> Timestamp {
-    Timestamp::from_wire(kani::any())
-}
-
-/// Any link and any timestamp.
-#[cfg(kani)]
-pub(crate) fn any_stamp() -> Stamp {
-    Stamp {
-        link_id: kani::any(),
-        timestamp: any_timestamp(),
-    }
+    verdict
 }
 
 #[cfg(test)]
@@ -81,7 +76,7 @@ mod tests {
             window,
             first: at(first),
         };
-        step(&key, before, stamp, at(now));
+        let _ = step(&key, before, stamp, at(now));
     }
 
     proptest! {
@@ -119,7 +114,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::AnyTag;
+    use crate::model::{AnyTag, any_stamp, any_timestamp};
 
     #[kani::proof]
     #[kani::unwind(33)]
@@ -128,11 +123,14 @@ mod verification {
         let before = Resumed::any();
         let stamp = any_stamp();
         let now = any_timestamp();
+        let verdict = step(&key, before, stamp, now);
+        kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(
-            stamp.link_id == before.link_id && stamp.timestamp == now,
-            "likely accepted"
+            verdict.is_ok() && stamp.timestamp == Timestamp::MAX,
+            "the last of all"
         );
-        kani::cover!(before.first > stamp.timestamp, "a replay");
-        step(&key, before, stamp, now);
+        kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
+        kani::cover!(verdict == Err(VerifyError::TooOld), "too old");
+        kani::cover!(verdict == Err(VerifyError::FromFuture), "from the future");
     }
 }

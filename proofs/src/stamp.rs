@@ -82,7 +82,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::replay::any_timestamp;
+    use crate::model::any_timestamp;
 
     #[kani::proof]
     #[kani::unwind(9)]

@@ -187,7 +187,7 @@ fn specified<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, Window};
     use proptest::prelude::*;
 
@@ -275,9 +275,9 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::HEARTBEAT;
     use crate::model::AnyTag;
-    use crate::replay::{any_stamp, any_timestamp};
+    use crate::model::HEARTBEAT;
+    use crate::model::{any_stamp, any_timestamp};
     use mavlink_signing::Window;
 
     /// Any table of two with `TAKEN` rows in use, and any first timestamp: how many rows there are is
