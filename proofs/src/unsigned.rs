@@ -189,6 +189,20 @@ mod tests {
         }
     }
 
+    /// Each bit of a frame without signature, one after the other: no policy is asked about it.
+    #[test]
+    fn u1_each_bit() {
+        let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        for place in 3..frame.as_bytes().len() {
+            for bit in 0..8 {
+                let mut bytes = frame.as_bytes().to_vec();
+                bytes[place] ^= 1 << bit;
+                let received = FrameRef::parse(&bytes).expect("a whole frame");
+                assert!(policy_decides(received, 1, true).is_err());
+            }
+        }
+    }
+
     /// What the three policies say.
     #[test]
     fn u1_policies() {
