@@ -1,11 +1,16 @@
 //! W3: the decoder, one step and whole streams.
 
-use mavlink_signing::field::MAX_FRAME_SIZE;
+use core::cell::Cell;
+
+use mavlink_signing::field::{MAGIC_V1, MAX_FRAME_SIZE};
 use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, ParseError, Resync, dialect};
+
+use crate::wire::checksum_is_right;
 
 /// W3, one step: whatever stands at the front of the decoder's buffer is a packet that lies in it,
 /// a fault, or too short; it is never too short when the buffer is full, so the decoder always goes
-/// on. Returns what it is, and the packet's length.
+/// on. A packet is known, and both bytes of its checksum are right; a fault says what is wrong. Returns what
+/// it is, and the packet's length.
 ///
 /// # Errors
 ///
@@ -18,9 +23,22 @@ pub fn front(
     buffer: &[u8],
     crc_extra: impl FnOnce(MessageId) -> Option<u8>,
 ) -> Result<usize, DecodeError> {
-    let parsed = Packet::parse(buffer, crc_extra);
+    let asked = Cell::new(None);
+    let parsed = Packet::parse(buffer, |id| {
+        let extra = crc_extra(id);
+        asked.set(Some((id, extra)));
+        extra
+    });
+    let right = match asked.get() {
+        Some((id, Some(extra))) => {
+            assert_eq!(id, id_of(buffer));
+            Some(checksum_is_right(buffer, extra))
+        }
+        _ => None,
+    };
     match parsed {
         Ok(packet) => {
+            assert_eq!(right, Some(true));
             let length = packet.as_bytes().len();
             assert!((8..=MAX_FRAME_SIZE).contains(&length));
             assert!(length <= buffer.len());
@@ -37,8 +55,25 @@ pub fn front(
         Err(error) => {
             let truncated = error == DecodeError::Parse(ParseError::Truncated);
             assert!(!truncated || buffer.len() < MAX_FRAME_SIZE);
+            match error {
+                DecodeError::UnknownMessage(id) => assert_eq!(asked.get(), Some((id, None))),
+                DecodeError::BadChecksum(id) => {
+                    assert_eq!(right, Some(false));
+                    assert_eq!(id, id_of(buffer));
+                }
+                _ => assert_eq!(asked.get(), None),
+            }
             Err(error)
         }
+    }
+}
+
+/// Which message the packet at the front of `bytes` carries, of either version.
+fn id_of(bytes: &[u8]) -> MessageId {
+    if bytes[0] == MAGIC_V1 {
+        bytes[5].into()
+    } else {
+        MessageId::from_le_bytes([bytes[7], bytes[8], bytes[9]])
     }
 }
 
@@ -216,7 +251,7 @@ mod verification {
     use super::*;
     use crate::model::any_prefix;
     use core::sync::atomic::{AtomicU16, Ordering::Relaxed};
-    use mavlink_signing::field::{MAGIC, MAGIC_V1};
+    use mavlink_signing::field::MAGIC;
 
     #[kani::proof]
     #[kani::unwind(9)]

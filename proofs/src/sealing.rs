@@ -302,8 +302,30 @@ mod tests {
 mod verification {
     use super::*;
 
-    // Errors, of a cipher that fails and of counters used up, are for the property tests: Kani 0.67 takes the error
-    // that `?` hands on in a result as large as a package's for no error at all, or for another one.
+    // An error in a result as large as a package's needs CBMC's `--max-field-sensitivity-array-size`, which the
+    // workspace sets: without it, Kani 0.67 takes the error that `?` hands on for another one, or for none.
+
+    /// What the cipher cannot seal is not sent, and its counter is used up.
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn n1_cipher_fails() {
+        let numbers: [u32; 3] = kani::any();
+        kani::assume(numbers[2] < u32::MAX);
+        let last = packages(numbers, Verdict::Fails, &[kani::any()], 0);
+        assert_eq!(last, Err(SealError::Cipher));
+        kani::cover!(numbers[2] == u32::MAX - 1, "under the last counter");
+    }
+
+    /// Behind the last counter nothing is sealed, whatever the cipher says, then and later.
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn n1_counters_used_up() {
+        let (salt, id) = (kani::any(), kani::any());
+        let messages: [Plaintext; 2] = kani::any();
+        let last = packages([salt, id, u32::MAX], Verdict::Right, &messages, 0);
+        assert_eq!(last, Err(SealError::CounterExhausted));
+        kani::cover!(true, "nothing is sealed");
+    }
 
     #[kani::proof]
     #[kani::unwind(97)]

@@ -2,15 +2,20 @@
 
 use mavlink_signing::crc::checksum;
 use mavlink_signing::dialect::crc_extra;
-use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE};
+use mavlink_signing::field::{HEADER_SIZE, HEADER_SIZE_V1, MAGIC_V1};
 use mavlink_signing::{MessageId, SignError};
 
-/// Whether both bytes of the checksum are right, in a whole frame. C1 says what the checksum is.
-pub(crate) fn checksum_is_right(frame: &[u8], crc_extra: u8) -> bool {
-    let at = HEADER_SIZE + usize::from(frame[1]);
-    let expected = checksum(&frame[1..at], crc_extra);
-    let written = [frame[at], frame[at + CHECKSUM_SIZE - 1]];
-    u16::from(written[0]) | u16::from(written[1]) << 8 == expected
+/// Whether both bytes of the checksum are right, of the whole packet at the front of `bytes`, of either
+/// version. C1 says what the checksum is.
+pub(crate) fn checksum_is_right(bytes: &[u8], crc_extra: u8) -> bool {
+    let header = if bytes[0] == MAGIC_V1 {
+        HEADER_SIZE_V1
+    } else {
+        HEADER_SIZE
+    };
+    let at = header + usize::from(bytes[1]);
+    let expected = checksum(&bytes[1..at], crc_extra);
+    u16::from(bytes[at]) | u16::from(bytes[at + 1]) << 8 == expected
 }
 
 /// Why a whole frame is not known and undamaged, unless it is: then the CRC_EXTRA of its message.
