@@ -168,8 +168,8 @@ fn read_all(decoder: &mut Decoder, found: &mut Vec<Result<Vec<u8>, DecodeError>>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mavlink_signing::Frame;
     use mavlink_signing::dialect::crc_extra;
+    use mavlink_signing::{Frame, Hmac, SigningKey, Stamp, Timestamp, sign_frame};
     use proptest::prelude::*;
 
     /// A HEARTBEAT of MAVLink 1.
@@ -194,10 +194,19 @@ mod tests {
     #[test]
     fn w3_each_bit() {
         let frame = Frame::new(crate::model::HEARTBEAT, &[1, 2, 3]).expect("a frame");
-        for packet in [frame.as_bytes(), &MAVLINK1] {
+        let mut signed = frame.clone();
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let stamp = Stamp {
+            link_id: 1,
+            timestamp: Timestamp::ZERO,
+        };
+        sign_frame(&mut signed, &key, stamp).expect("not signed yet");
+        // A checksum says nothing about the signature behind it.
+        let checked = &signed.as_bytes()[..signed.as_bytes().len() - 13];
+        for (packet, behind) in [(frame.as_bytes(), 0), (checked, 13), (&MAVLINK1, 0)] {
             for place in 3..packet.len() {
                 for bit in 0..8 {
-                    let mut bytes = packet.to_vec();
+                    let mut bytes = [packet, &vec![0; behind]].concat();
                     bytes[place] ^= 1 << bit;
                     assert!(front(&bytes, crc_extra).is_err());
                 }

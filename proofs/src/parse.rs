@@ -110,6 +110,7 @@ mod tests {
     #[test]
     fn w1_each_bit() {
         let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        assert_eq!(parse_any(frame.as_bytes(), 50), Ok(15));
         for place in 2..frame.as_bytes().len() {
             for bit in 0..8 {
                 let mut bytes = frame.as_bytes().to_vec();
