@@ -253,4 +253,18 @@ impl<const N: usize> StreamTable<N> {
         self.closed = closed;
         self
     }
+
+    /// For proofs: how many rows were taken for frames that this end sent.
+    #[cfg(kani)]
+    #[must_use]
+    pub fn own_rows(&self) -> usize {
+        self.rows.iter().filter(|row| row.own).count()
+    }
+
+    /// For proofs: the first timestamp that is fresh in every stream.
+    #[cfg(kani)]
+    #[must_use]
+    pub const fn floor(&self) -> Option<Timestamp> {
+        self.first.first()
+    }
 }

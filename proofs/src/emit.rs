@@ -91,7 +91,7 @@ mod verification {
         kani::cover!(made.is_err(), "a message that is not in the dialect");
     }
 
-    crate::for_payload_lengths! { check:
+    crate::model::for_payload_lengths! { check:
         w2_round_trip_0 0 unwind 33,
         w2_round_trip_1 1 unwind 33,
         w2_round_trip_9 9 unwind 36,

@@ -34,21 +34,3 @@ pub mod unforgeable;
 pub mod unsigned;
 pub mod verify;
 mod wire;
-
-/// One harness for each payload length, with a bound on its loops: what is copied has then a length
-/// that the solver knows, or nearly.
-#[cfg(kani)]
-macro_rules! for_payload_lengths {
-    ($check:ident: $($name:ident $length:literal unwind $unwind:literal,)*) => {
-        $(
-            #[kani::proof]
-            #[kani::unwind($unwind)]
-            #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
-            fn $name() {
-                $check::<$length>();
-            }
-        )*
-    };
-}
-#[cfg(kani)]
-pub(crate) use for_payload_lengths;

@@ -201,3 +201,21 @@ pub(crate) fn any_key() -> mavlink_signing::SigningKey<AnyTag> {
     secret[31] = 1;
     mavlink_signing::SigningKey::new(&secret).expect("not zeros")
 }
+
+/// One harness for each payload length, with a bound on its loops: what is copied has then a length
+/// that the solver knows, or nearly.
+#[cfg(kani)]
+macro_rules! for_payload_lengths {
+    ($check:ident: $($name:ident $length:literal unwind $unwind:literal,)*) => {
+        $(
+            #[kani::proof]
+            #[kani::unwind($unwind)]
+            #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+            fn $name() {
+                $check::<$length>();
+            }
+        )*
+    };
+}
+#[cfg(kani)]
+pub(crate) use for_payload_lengths;

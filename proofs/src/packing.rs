@@ -406,9 +406,9 @@ mod verification {
         let times: [u32; 2] = kani::any();
         let [max_delay, later] = times.map(|seconds| Duration::from_secs(seconds.into()));
         let packet = any_packet::<40>();
+        asked_later(&packet, max_delay, later, any_index());
         kani::cover!(later < max_delay && packet[5] == 0, "a heartbeat");
         kani::cover!(later < max_delay && packet[5] != 0, "in time");
-        asked_later(&packet, max_delay, later, any_index());
         kani::cover!(later >= max_delay, "waited");
     }
 }

@@ -334,12 +334,12 @@ mod verification {
     }
 
     // The harness's number is the payload's length, the literal the frame's.
-    crate::for_payload_lengths! { leaves:
+    crate::model::for_payload_lengths! { leaves:
         l1_only_verified_leaves_0 25 unwind 33,
         l1_only_verified_leaves_9 34 unwind 36,
     }
 
-    crate::for_payload_lengths! { signs:
+    crate::model::for_payload_lengths! { signs:
         l1_only_unsigned_is_signed_0 12 unwind 33,
         l1_only_unsigned_is_signed_9 21 unwind 33,
     }

@@ -208,12 +208,12 @@ mod verification {
         kani::cover!(matches!(read, Err(SetupError::TooLong(_))), "too long");
     }
 
-    crate::for_payload_lengths! { read:
+    crate::model::for_payload_lengths! { read:
         m1_read_field_by_field_7 7 unwind 44,
         m1_read_field_by_field_42 42 unwind 44,
     }
 
-    crate::for_payload_lengths! { not_read:
+    crate::model::for_payload_lengths! { not_read:
         m1_read_field_by_field_43 43 unwind 44,
     }
 
@@ -244,7 +244,7 @@ mod verification {
         kani::cover!(sent == LENGTH, "nothing");
     }
 
-    crate::for_payload_lengths! { cut:
+    crate::model::for_payload_lengths! { cut:
         m1_only_zeros_are_cut_0 0 unwind 44,
         m1_only_zeros_are_cut_42 42 unwind 44,
     }
@@ -265,7 +265,7 @@ mod verification {
     }
 
     // The harness's number is the payload's length, the literal that of the signed frame.
-    crate::for_payload_lengths! { shown:
+    crate::model::for_payload_lengths! { shown:
         m1_log_shows_no_secret_9 34 unwind 44,
         m1_log_shows_no_secret_42 67 unwind 69,
     }

@@ -249,7 +249,7 @@ mod verification {
         kani::cover!(index == LENGTH + 24, "the last byte of the frame");
     }
 
-    crate::for_payload_lengths! { signs:
+    crate::model::for_payload_lengths! { signs:
         s1_signs_in_place_0 0 unwind 33,
         s1_signs_in_place_1 1 unwind 33,
         s1_signs_in_place_9 9 unwind 36,
@@ -276,7 +276,7 @@ mod verification {
         kani::cover!(true, "it ends");
     }
 
-    crate::for_payload_lengths! { verifies:
+    crate::model::for_payload_lengths! { verifies:
         v3_signed_verifies_0 0 unwind 33,
         v3_signed_verifies_9 9 unwind 36,
         v3_signed_verifies_30 30 unwind 57,

@@ -285,11 +285,11 @@ mod verification {
     }
 
     // The harness's number is the payload's length, the literal the frame's.
-    crate::for_payload_lengths! { signed:
+    crate::model::for_payload_lengths! { signed:
         u1_signed_is_not_asked_about_9 34 unwind 36,
     }
 
-    crate::for_payload_lengths! { unsigned:
+    crate::model::for_payload_lengths! { unsigned:
         u1_unsigned_leaves_as_it_came_9 21 unwind 33,
     }
 }

@@ -9,7 +9,7 @@ use mavlink_signing::{
 use crate::model::Resumed;
 
 /// V1: [`authenticate`] and [`ReplayGuard::admit`](mavlink_signing::Replay::admit) give the verdict of
-/// `specified`, which reads the bytes naively; the payload that comes out is the frame's; what is rejected
+/// `specified`, which reads the bytes naively; header, payload and bytes that come out are the frame's; what is rejected
 /// changes nothing.
 ///
 /// `checksum` and `tag` are what the code under test computes, or the models that stand for it.
@@ -39,6 +39,10 @@ pub fn accepted_iff<P: Profile>(
             assert_eq!(expected, Ok(verified.stamp().timestamp));
             assert_eq!(verified.payload().len(), bytes[1] as usize);
             assert_eq!(verified.payload().as_ptr(), bytes[HEADER_SIZE..].as_ptr());
+            assert_eq!(verified.as_bytes().len(), frame.as_bytes().len());
+            assert_eq!(verified.as_bytes().as_ptr(), bytes.as_ptr());
+            assert_eq!(verified.header(), frame.header());
+            assert_eq!(verified.stamp().link_id, before.link_id);
             assert_eq!(after.last(), Some(verified.stamp().timestamp));
         }
         Err(error) => {
