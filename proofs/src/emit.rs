@@ -4,9 +4,9 @@ use mavlink_signing::{Frame, FrameRef, Header, SignError};
 
 use crate::wire::known_and_undamaged;
 
-/// W2: a frame of `header` and `payload` parses as that, unsigned and with a right checksum over all
-/// between magic byte and checksum; a frame made from what was parsed has the same bytes. `index` is the
-/// byte that is compared.
+/// W2: a frame of `header` and `payload` parses as that, and is unsigned. Its checksum is right, over
+/// all between magic byte and checksum. A frame made from what was parsed has the same bytes. `index` is
+/// the byte that is compared.
 ///
 /// # Errors
 ///

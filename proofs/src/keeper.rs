@@ -51,8 +51,8 @@ impl Model {
     }
 }
 
-/// T1, over a restart, from any state: a stamp is given only with a mark above it stored, so that every
-/// stamp after a restart, whatever the clock shows then, is greater; when the mark cannot be stored, none is
+/// T1, over a restart, from any state: a stamp is given only with a mark above it stored. Every stamp
+/// after a restart is greater, whatever the clock shows then. When the mark cannot be stored, none is
 /// given and nothing has changed.
 ///
 /// # Errors
@@ -91,10 +91,10 @@ pub fn stamps<K: LinkClock>(
     }
 }
 
-/// R3, one step from any state: a frame is accepted only with a mark above its stamp stored, so that a
-/// receiver that starts at the mark, of one stream or of many, rejects it and everything before it, of this
-/// stream and of new ones; what is rejected stores nothing and changes nothing; a frame that cannot be
-/// remembered is rejected.
+/// R3, one step from any state: a frame is accepted only with a mark above its stamp stored. A receiver
+/// that starts at the mark, of one stream or of many, rejects it and everything before it. That holds
+/// for this stream and for new ones. What is rejected stores nothing and changes nothing. A frame that
+/// cannot be remembered is rejected.
 ///
 /// # Errors
 ///

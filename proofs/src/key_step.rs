@@ -119,10 +119,11 @@ enum Rejected {
     NotOffered,
 }
 
-/// K1, one call at one end, from any state: it ends in the state that the rule says, or is rejected. What is
-/// stored is that state, before it has an effect; if it cannot be stored, or the call is rejected, nothing
-/// changes. In every state the end signs with the old key until it has heard the new one or was given it, and
-/// accepts each key that it may be sent: the old one until it is retired, the new one until it is given up.
+/// K1, one call at one end, from any state: it ends in the state that the rule says, or is rejected.
+/// What is stored is that state, before it has an effect; if it cannot be stored, or the call is
+/// rejected, nothing changes. In every state the end signs with the old key until it has heard the new
+/// one or was given it. It accepts each key that it may be sent: the old one until it is retired, the
+/// new one until it is given up. A frame under the old key is never taken for one under the new.
 ///
 /// `stores` says whether the memory does what it is told.
 ///
@@ -301,8 +302,8 @@ mod verification {
     use super::*;
     use crate::model::AnyTag;
 
-    /// The key that is offered. It may be either of the others: of keys it matters only which are the same, so
-    /// that one number is as good as any, and known to the solver.
+    /// The key that is offered. It may be either of the others. Of keys it matters only which are the
+    /// same: one number, known to the solver, is as good as any.
     const NUMBER: u8 = 7;
 
     /// One call in the state with this number, which is known to the solver.

@@ -255,10 +255,11 @@ impl<P: Profile, M: Memory> End<P, M> {
     }
 }
 
-/// K1 in every history: at no moment are both ends deaf to each other; without a withdrawal neither is; the
-/// initiator signs with a new key only when it has heard it, the responder only when it was given it; an old
-/// key is dropped by `Retire` alone, which is rejected until the other end was heard with the new one; what is
-/// rejected changes nothing. Returns how many changes were brought to their end, at both ends.
+/// K1 in every history: at no moment are both ends deaf to each other; without a withdrawal neither is.
+/// The initiator signs with a new key only when it has heard it, the responder only when it was given
+/// it. An old key is dropped by `Retire` alone, which is rejected until the other end was heard with the
+/// new one. What is rejected changes nothing. Returns how many changes were brought to their end, at
+/// both ends.
 ///
 /// # Panics
 ///

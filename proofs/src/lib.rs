@@ -1,7 +1,7 @@
 //! What mavseal claims, each property once, as a plain function that asserts.
 //!
-//! Three callers check the same function: a Kani harness with every input there is (`cargo kani`),
-//! a test with edges and random values (`cargo test`), and a fuzz target. The table of
+//! Three callers check the same function. A Kani harness has every input within its bound (`cargo
+//! kani`), a test edges and random values (`cargo test`). The third is a fuzz target. The table of
 //! `verification.md` gives each property its id, its bound and its assumptions.
 
 pub mod checksum;

@@ -52,8 +52,8 @@ impl Resumed {
 
 /// A profile whose tag is the first 6 bytes of the key, whatever is covered.
 ///
-/// For a key of any value that is any tag at all, which includes the one a real hash would give:
-/// an over-approximation of every profile. It says nothing about which bytes are covered.
+/// For a key of any value that is any tag at all, among them the one that a real hash would give. It
+/// over-approximates every profile. It says nothing about which bytes are covered.
 #[derive(Debug)]
 pub struct AnyTag(Tag);
 
@@ -136,7 +136,7 @@ mod oracle {
     static ANSWERS: [AtomicU16; 2] = [AtomicU16::new(0), AtomicU16::new(0)];
 
     /// A question is told by its length, its CRC_EXTRA and the byte at a place that may be any. Two
-    /// different ones differ there for some place, so that their answers are then free of each other: with
+    /// different ones differ there for some place, and their answers are then free of each other. So of
     /// two questions, the checksum is any function at all. A third is not taken.
     pub(crate) fn any_checksum(covered: &[u8], crc_extra: u8) -> u16 {
         if CALLS.load(Relaxed) == 0 {

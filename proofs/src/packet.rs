@@ -7,9 +7,9 @@ use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, ParseError, Resyn
 
 use crate::wire::checksum_is_right;
 
-/// W3, one step: whatever stands at the front of the decoder's buffer is a packet that lies in it,
-/// a fault, or too short; it is never too short when the buffer is full, so the decoder always goes
-/// on. A packet is known, and both bytes of its checksum are right; a fault says what is wrong. Returns what
+/// W3, one step: whatever stands at the front of the decoder's buffer is a packet that lies in it, a
+/// fault, or too short. It is never too short when the buffer is full, so the decoder always goes on. A
+/// packet is known, and both bytes of its checksum are right; a fault says what is wrong. Returns what
 /// it is, and the packet's length.
 ///
 /// # Errors
@@ -89,9 +89,9 @@ pub fn takes(decoder: &mut Decoder, byte: u8) {
     assert_eq!(decoder.room(), room - taken);
 }
 
-/// W3, out: whatever the decoder holds, what it completes parses; every byte is then kept, in the
-/// packet, or counted as dropped; and when nothing comes out there is room for the next byte. Returns
-/// what came out, and its length.
+/// W3, out: whatever the decoder holds, what it completes parses. Every byte is then kept, in the
+/// packet, or counted as dropped. When nothing comes out there is room for the next byte. Returns what
+/// came out, and its length.
 ///
 /// # Errors
 ///
@@ -123,7 +123,7 @@ pub fn gives(
     found
 }
 
-/// W3, a whole stream: however it is cut, the same packets and faults come out, and every byte is in a
+/// W3, a whole stream: however it is cut, the same packets and faults come out. Every byte is in a
 /// packet or counted as dropped. `cuts` are the lengths of the pieces, repeated; the line is silent at
 /// the end.
 ///

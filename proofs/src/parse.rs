@@ -5,9 +5,9 @@ use mavlink_signing::{FrameRef, ParseError};
 
 use crate::wire::checksum_is_right;
 
-/// W1: `bytes` are parsed or rejected without a panic; a frame is the front of `bytes`, exactly as
-/// long as its header says, and every accessor agrees with the bytes, the one about the checksum with
-/// both of its bytes; an error is the first thing that is wrong. Returns the frame's length.
+/// W1: `bytes` are parsed or rejected without a panic. A frame is the front of `bytes`, exactly as long
+/// as its header says. Every accessor agrees with the bytes, the one about the checksum with both of its
+/// bytes. An error is the first thing that is wrong. Returns the frame's length.
 ///
 /// # Errors
 ///

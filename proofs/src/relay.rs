@@ -10,9 +10,9 @@ use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Signer, Verifier};
 use crate::model::Resumed;
 use crate::wire::known_and_undamaged;
 
-/// L1, towards the local side: a packet is handed on only if it is verified, by a receiver in the
-/// same state; byte for byte as received, or stripped, as `forward` says. A stripped frame has the same
-/// bytes, but for the flag and a new checksum, which is right. Returns the rejection.
+/// L1, towards the local side: a packet is handed on only if it is verified, by a receiver in the same
+/// state. It leaves byte for byte as received, or stripped, as `forward` says. A stripped frame has the
+/// same bytes, but for the flag and a new checksum, which is right. Returns the rejection.
 ///
 /// That the relay gives packets of the link side to [`Verifier`] alone, which holds no stamper,
 /// is a matter of its types.
@@ -87,9 +87,9 @@ fn unsigned_rejection(received: FrameRef<'_>) -> RejectReason {
 }
 
 /// L1, towards the link side: a packet is signed if and only if it is an undamaged, known frame without
-/// signature, and is not SETUP_SIGNING; otherwise the error names the first that is wrong. What leaves is
-/// signed for the stamper's link, and has the same bytes, but for the flag, a new checksum, which is right,
-/// and the signature. Returns the rejection.
+/// signature, and not SETUP_SIGNING. Otherwise the error names the first that is wrong. What leaves is
+/// signed with the stamper's stamp. It has the same bytes, but for the flag, the signature, and a new
+/// checksum, which is right. Returns the rejection.
 ///
 /// # Errors
 ///

@@ -7,9 +7,9 @@ use mavlink_signing::{
 use crate::model::HEARTBEAT;
 use crate::model::Resumed;
 
-/// R1, one step from any state: an authentic frame is accepted only for this link, inside the
-/// window and later than the last accepted one, and is then the last; the same frame is rejected
-/// the next time; what is rejected changes nothing.
+/// R1, one step from any state: an authentic frame is accepted only for this link, inside the window and
+/// later than the last accepted one. It is then the last, and the same frame is rejected the next time.
+/// What is rejected changes nothing.
 ///
 /// Every history is a sequence of such steps, so accepted timestamps strictly increase in every
 /// history.

@@ -1,6 +1,6 @@
 //! N1: no nonce is used twice within a run.
 //!
-//! That nothing seals with a copy is a matter of types: these programs must not compile, and each
+//! That nothing seals with a copy is a matter of types. These programs must not compile, and each
 //! differs in one line from one that does.
 //!
 //! ```
@@ -32,8 +32,8 @@
 //! fn seals(key: SealingKey) -> [Sealer; 2] { [Sealer::new(key, SenderId(1)), Sealer::new(key, SenderId(1))] }
 //! ```
 //!
-//! A key belongs to one header, and so does what the key file says of a sender: there is no sealer of the
-//! one format with a key of the other, and no list of peers of both.
+//! A key belongs to one header, and so does what the key file says of a sender. There is no sealer of
+//! the one format with a key of the other, and no list of peers of both.
 //!
 //! ```
 //! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, SealingKey, Sealer};
@@ -84,10 +84,10 @@ use mavlink_commsec::{
 
 use crate::cipher::{Specified, Told, Verdict, nonce_of};
 
-/// N1, from any state that a sender can be resumed in: what is sealed next is sealed under the salt, the
-/// sender's id and a counter that is at least 1, at least `first`, and one greater each time; after
-/// 2^32 - 2 nothing is sealed any more, now and later; what the cipher could not seal is not sent, and
-/// uses its counter up.
+/// N1, from any state that a sender can be resumed in: what is sealed next is sealed under salt, sender
+/// and counter. The counter is at least 1, at least `first`, and one greater each time. After 2^32 - 2
+/// nothing is sealed any more, now and later. What the cipher could not seal is not sent, and uses its
+/// counter up.
 ///
 /// `at` is an index below 80 at which the sealed messages are looked at. Returns the counter of the last
 /// package. As a sender in any state is one resumed there, one message says it of all.
@@ -110,8 +110,8 @@ pub fn packages(
     seals::<PackageHeader>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
 }
 
-/// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch; 65,535 and
-/// what has more than 16 bits is no epoch.
+/// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch. 65,535
+/// and what has more than 16 bits is no epoch.
 ///
 /// # Errors
 ///
@@ -302,8 +302,9 @@ mod tests {
 mod verification {
     use super::*;
 
-    // An error in a result as large as a package's needs CBMC's `--max-field-sensitivity-array-size`, which the
-    // workspace sets: without it, Kani 0.67 takes the error that `?` hands on for another one, or for none.
+    // An error in a result as large as a package's needs CBMC's `--max-field-sensitivity-array-size`,
+    // which the workspace sets. Without it, Kani 0.67 takes the error that `?` hands on for another one,
+    // or for none.
 
     /// What the cipher cannot seal is not sent, and its counter is used up.
     #[kani::proof]

@@ -7,9 +7,9 @@ use mavlink_signing::{
 
 use crate::wire::known_and_undamaged;
 
-/// M1, reading: a payload of up to 42 bytes whose timestamp has 48 bits reads as its fields (8 bytes of
-/// timestamp, little-endian, target system, target component, 32 of key, cut zeros filled in); the error
-/// of any other says what is wrong.
+/// M1, reading: a payload of up to 42 bytes whose timestamp has 48 bits reads as its fields. They are 8
+/// bytes of timestamp, little-endian, target system, target component, and 32 of key; cut zeros are
+/// filled in. The error of any other payload says what is wrong.
 ///
 /// # Errors
 ///
@@ -70,8 +70,8 @@ pub fn built_field_by_field(setup: &SetupSigning, header: Header) {
     assert_eq!(read.secret_key, setup.secret_key);
 }
 
-/// M1, what is cut: zeros at the end and nothing else, and of a payload of zeros all but the first
-/// (MAVLink guide, "Packet Serialization", Payload Truncation).
+/// M1, what is cut: zeros at the end and nothing else. Of a payload of zeros the first stays (MAVLink
+/// guide, "Packet Serialization", Payload Truncation).
 ///
 /// # Panics
 ///
@@ -87,9 +87,9 @@ pub fn only_zeros_are_cut(payload: &[u8]) {
     }
 }
 
-/// M1, in a log: what comes out is unsigned, has a right checksum, and has the frame's header and payload, but of SETUP_SIGNING
-/// the 32 bytes of the key are 0xFF, however many of them were sent. What is damaged or unknown is
-/// rejected. `index` is the byte of the payload that is looked at.
+/// M1, in a log: what comes out is unsigned, has a right checksum, and has the frame's header and
+/// payload. Of SETUP_SIGNING the 32 bytes of the key are 0xFF, however many of them were sent. What is
+/// damaged or unknown is rejected. `index` is the byte of the payload that is looked at.
 ///
 /// # Errors
 ///

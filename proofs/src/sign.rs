@@ -6,8 +6,8 @@ use mavlink_signing::{
     authenticate, dialect, sign_frame,
 };
 
-/// S1: signing sets the flag, computes the checksum anew and appends link id, timestamp and tag;
-/// every other byte stays. Signing again is rejected and changes nothing.
+/// S1: signing sets the flag, computes a new checksum and appends link id, timestamp and tag. Every
+/// other byte stays. Signing again is rejected and changes nothing.
 ///
 /// S2, the sender's half: the tag is the one over exactly the bytes before it, asked for once.
 ///
@@ -59,9 +59,9 @@ pub fn signs_in_place<P: Profile>(
     assert_eq!((bytes.len(), bytes.get(index).copied()), kept);
 }
 
-/// S2: what a signed frame says, its header, stamp and payload, is a matter of its transcript, the
-/// bytes before its tag, alone: with another tag in place of its own, `bytes` say the same. So two
-/// frames with equal transcripts say the same. `index` is the byte of the payload that is compared.
+/// S2: what a signed frame says, its header, stamp and payload, is a matter of its transcript alone, the
+/// bytes before its tag. With another tag in place of its own, `bytes` say the same. So two frames with
+/// equal transcripts say the same. `index` is the byte of the payload that is compared.
 ///
 /// Returns the frame's length; `None` if `bytes` do not begin with a signed frame.
 ///
@@ -87,9 +87,9 @@ fn what_is_said(bytes: &[u8], index: usize) -> Option<(usize, (Header, Stamp, u8
     Some((bytes.len(), (frame.header(), stamp, bytes[1], byte)))
 }
 
-/// V3: what is signed verifies, with the same key, at the moment of its stamp, by a receiver of its
-/// link that has accepted nothing; what comes out is what went in. `index` is the byte of the
-/// payload that is compared.
+/// V3: what is signed verifies, with the same key, at the moment of its stamp, by a receiver of its link
+/// that has accepted nothing. What comes out is what went in. `index` is the byte of the payload that is
+/// compared.
 ///
 /// # Panics
 ///

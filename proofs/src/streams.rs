@@ -5,10 +5,11 @@ use mavlink_signing::{
     VerifyError, authenticate, sign_frame,
 };
 
-/// R2, one step from any state: an authentic frame is accepted if and only if it is of a link that is
-/// taken, in the window, newer than every accepted one of its stream, and has a row or a free one on a
-/// link that is not closed; otherwise the error names the first that is wrong. An accepted frame changes
-/// the row of its stream alone; a rejected one changes nothing; no row is ever lost, and no link closed.
+/// R2, one step from any state: an authentic frame is accepted if and only if all of these hold. It is
+/// of a link that is taken, in the window, and newer than every accepted one of its stream. It has a
+/// row, or there is a free one and its link is not closed. Otherwise the error names the first that is
+/// wrong. An accepted frame changes the row of its stream alone; a rejected one changes nothing; no row
+/// is ever lost, and no link closed.
 ///
 /// `first` is the first timestamp that is fresh in a new stream. Returns the verdict.
 ///
@@ -60,8 +61,8 @@ pub fn step<P: Profile, const N: usize>(
     verdict
 }
 
-/// R2, of what this end sends: it is rejected when it comes back, whether or not there was a row for it;
-/// no other row changes, and none is lost. If there was none, its link is closed; a link that was closed
+/// R2, of what this end sends: it is rejected when it comes back, whether or not there was a row for it.
+/// No other row changes, and none is lost. If there was none, its link is closed; a link that was closed
 /// stays so. As rows do not go back ([`step`]), it is rejected later too. A frame without signature
 /// changes nothing. Returns why it is rejected.
 ///

@@ -11,10 +11,10 @@ use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Verifier};
 use crate::model::Resumed;
 use crate::wire::known_and_undamaged;
 
-/// U1: a frame is accepted if and only if it is unsigned, known and undamaged, and the policy says so;
-/// otherwise the error names the first that is wrong. The policy is asked once if it decides and not at
-/// all if it does not, about what the frame says and the link it came in on. What is accepted is the
-/// frame as it came.
+/// U1: a frame is accepted if and only if it is unsigned, known and undamaged, and the policy says so.
+/// Otherwise the error names the first that is wrong. The policy is asked once if it decides, and not at
+/// all if it does not. It is told what the frame says and the link it came in on. What is accepted is
+/// the frame as it came.
 ///
 /// # Errors
 ///
@@ -76,8 +76,8 @@ pub fn policy_decides(
 /// What the policy is told of the link.
 const LINK_ID: u8 = 3;
 
-/// U1, in the relay: with a policy that accepts everything, a frame leaves as unsigned if and only if it
-/// came unsigned, known and undamaged, and is not SETUP_SIGNING; it is then byte for byte the same. The
+/// U1, in the relay, with a policy that accepts everything: a frame leaves as unsigned if and only if it
+/// came unsigned, known and undamaged, and is not SETUP_SIGNING. It is then byte for byte the same. The
 /// policy is never asked about a signed one. Returns the rejection.
 ///
 /// # Errors

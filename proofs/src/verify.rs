@@ -8,9 +8,9 @@ use mavlink_signing::{
 
 use crate::model::Resumed;
 
-/// V1: [`authenticate`] and [`ReplayGuard::admit`](mavlink_signing::Replay::admit) give the verdict of
-/// `specified`, which reads the bytes naively; header, payload and bytes that come out are the frame's; what is rejected
-/// changes nothing.
+/// V1: [`authenticate`] and [`ReplayGuard::admit`](mavlink_signing::ReplayGuard::admit) give the verdict
+/// of `specified`, which reads the bytes naively. Header, payload and bytes that come out are the
+/// frame's. What is rejected changes nothing.
 ///
 /// `checksum` and `tag` are what the code under test computes, or the models that stand for it.
 /// Returns the verdict.
