@@ -357,6 +357,12 @@ impl Decoder {
         self.done <= self.buffer.len() && self.lent <= self.buffer.len() - self.done
     }
 
+    /// For proofs: the bytes that are neither done with nor lent out.
+    #[must_use]
+    pub fn pending(&self) -> &[u8] {
+        self.buffer.get(self.done + self.lent..).unwrap_or_default()
+    }
+
     /// For proofs: [`noise`].
     #[must_use]
     pub fn noise(pending: &[u8]) -> usize {

@@ -69,11 +69,12 @@ pub fn stamps<K: LinkClock>(
     after: Timestamp,
 ) -> Result<(), SignError> {
     let mut stamper = Stamper::resume(1, first);
-    let before = mark(keeper);
+    let (before, now) = (mark(keeper), keeper.now());
     let given = keeper.stamp(&mut stamper);
     match given {
         Ok(stamp) => {
-            assert!(stamp.timestamp >= first);
+            assert!(stamp.timestamp >= first.max(now));
+            assert_eq!(stamp.link_id, 1);
             assert!(mark(keeper) > stamp.timestamp.ticks());
             if let Some(floor) = Timestamp::from_ticks(mark(keeper)) {
                 let mut restarted = Stamper::resume(1, floor);

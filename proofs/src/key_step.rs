@@ -357,6 +357,7 @@ mod verification {
         k1_initiator_goes_over_when_heard 2 |_| Call::Confirm;
         k1_goes_over_when_heard 4 |_| Call::Confirm;
         k1_retires_when_confirmed 5 |_| Call::Retire;
+        k1_withdraws_when_offered 1 |_| Call::Withdraw;
     }
 
     #[kani::proof]
@@ -365,6 +366,16 @@ mod verification {
     fn k1_takes_no_key_of_zeros() {
         let rejected = any_call::<0>(|_| Call::Apply(0));
         assert!(matches!(rejected, Err(KeyChangeError::Key(_))));
+        kani::cover!(true, "rejected");
+    }
+
+    /// An end that was heard with the new key has it: it is not taken back.
+    #[kani::proof]
+    #[kani::unwind(33)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+    fn k1_withdraws_no_more_when_heard() {
+        let rejected = any_call::<2>(|_| Call::Withdraw);
+        assert_eq!(rejected, Err(KeyChangeError::NotOffered));
         kani::cover!(true, "rejected");
     }
 

@@ -351,8 +351,17 @@ mod verification {
         let mut decoder = decoder.holding(kani::any(), kani::any(), kani::any());
         kani::assume(decoder.is_valid());
         let room = decoder.room();
-        takes(&mut decoder, kani::any());
+        let (index, byte): (usize, u8) = kani::any();
+        let (kept, there) = (
+            decoder.pending().len(),
+            decoder.pending().get(index).copied(),
+        );
+        takes(&mut decoder, byte);
         assert!(decoder.is_valid());
+        // Those that were kept are, and the new one is behind them.
+        let now = decoder.pending().get(index).copied();
+        assert!(index >= kept || now == there);
+        assert!(index != kept || room == 0 || now == Some(byte));
         kani::cover!(room == 0, "full");
         kani::cover!(room == MAX_FRAME_SIZE, "empty");
     }

@@ -52,8 +52,9 @@ pub fn parse_any(bytes: &[u8], crc_extra: u8) -> Result<usize, ParseError> {
             assert!(signed);
             let at = length - SIGNATURE_SIZE;
             assert_eq!(signature.stamp.link_id, bytes[at]);
-            for (i, byte) in signature.stamp.timestamp.to_wire().into_iter().enumerate() {
-                assert_eq!(byte, bytes[at + 1 + i]);
+            let ticks = signature.stamp.timestamp.ticks().to_le_bytes();
+            for (i, byte) in ticks.into_iter().enumerate() {
+                assert_eq!(byte, if i < 6 { bytes[at + 1 + i] } else { 0 });
             }
             for (i, byte) in signature.tag.into_iter().enumerate() {
                 assert_eq!(byte, bytes[at + 7 + i]);

@@ -1,7 +1,8 @@
 //! R1: accepted timestamps strictly increase.
 
 use mavlink_signing::{
-    Frame, FrameRef, Profile, SigningKey, Stamp, Timestamp, VerifyError, authenticate, sign_frame,
+    AntiReplay, Frame, FrameRef, Profile, SigningKey, Stamp, Timestamp, VerifyError, authenticate,
+    sign_frame,
 };
 
 use crate::model::HEARTBEAT;
@@ -10,6 +11,7 @@ use crate::model::Resumed;
 /// R1, one step from any state: an authentic frame is accepted only for this link, inside the window and
 /// later than the last accepted one. It is then the last, and the same frame is rejected the next time.
 /// What is rejected changes nothing.
+/// Of another link is all that the receiver says it rejects of its own end's.
 ///
 /// Every history is a sequence of such steps, so accepted timestamps strictly increase in every
 /// history.
@@ -48,6 +50,10 @@ pub fn step<P: Profile>(
     } else {
         assert_eq!(after, before.replay());
     }
+    // What this end sends itself is one of these frames, when it comes back.
+    let rejects_own = AntiReplay::rejects_own(&after, stamp.link_id);
+    assert_eq!(rejects_own, stamp.link_id != before.link_id);
+    assert!(!rejects_own || verdict.is_err());
     assert_eq!(after.link_id(), before.link_id);
     assert_eq!(after.window(), before.window);
     verdict

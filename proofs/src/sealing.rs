@@ -78,8 +78,8 @@
 
 use mavlink_commsec::field::{HEADER_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::{
-    EpochCounter, EpochError, EpochHeader, EpochSenderId, Package, PackageHeader, Plaintext,
-    SealError, Sealer, SealingKey, SenderId,
+    EpochCounter, EpochError, EpochHeader, EpochSenderId, HeaderFormat, Package, PackageHeader,
+    Plaintext, SealError, Sealer, SealingKey, SenderId,
 };
 
 use crate::cipher::{Specified, Told, Verdict, nonce_of};
@@ -147,6 +147,19 @@ pub fn packages_of_epoch(
         messages,
         at,
     ))
+}
+
+/// N1, of the place after a package's: its counter is one greater, in the same epoch where there are any.
+/// Behind the last one, 2^32 - 2, is that which no sender uses, and it stays there.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn next_is_one_greater(epoch: u16, counter: u32) {
+    let after = counter.saturating_add(1);
+    assert_eq!(PackageHeader::next(counter), after);
+    let next = EpochHeader::next(EpochCounter { epoch, counter });
+    assert_eq!((next.epoch, next.counter), (epoch, after));
 }
 
 /// Seals `messages`, and compares with what must come out, from counter `first` on.
@@ -274,6 +287,16 @@ mod tests {
     }
 
     #[test]
+    fn n1_next() {
+        let counters = [0, 1, 0xFF, 0xFFFF, 0x1_0000, u32::MAX - 1, u32::MAX];
+        for counter in counters {
+            for epoch in [0, 1, 0xFF, 0xFFFE, 0xFFFF] {
+                next_is_one_greater(epoch, counter);
+            }
+        }
+    }
+
+    #[test]
     fn n1_edges() {
         let edges = [
             0,
@@ -305,6 +328,14 @@ mod verification {
     // An error in a result as large as a package's needs CBMC's `--max-field-sensitivity-array-size`,
     // which the workspace sets. Without it, Kani 0.67 takes the error that `?` hands on for another one,
     // or for none.
+
+    #[kani::proof]
+    #[kani::unwind(1)]
+    fn n1_next_is_one_greater() {
+        let counter = kani::any();
+        next_is_one_greater(kani::any(), counter);
+        kani::cover!(counter == u32::MAX - 1, "the last counter of all");
+    }
 
     /// What the cipher cannot seal is not sent, and its counter is used up.
     #[kani::proof]
