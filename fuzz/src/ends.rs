@@ -93,8 +93,8 @@ pub struct Ends<'a> {
     pub broken: bool,
     /// What is left to chance: how a cut leaves words.
     pub chance: i64,
-    /// Where its own counters begin, and those of both peers, each in two halves.
-    pub first: [[u16; 2]; 2],
+    /// Where its own counters begin, and those of both peers.
+    pub first: [u32; 2],
     /// How long a packet waits for others, in milliseconds.
     pub max_delay: u8,
     /// In order.
@@ -127,7 +127,7 @@ const HEARTBEAT: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0
 impl Script {
     fn of(input: &Ends<'_>, stages: &[Stage]) -> Self {
         let mut script = Self::default();
-        let first = number(input.first[1]);
+        let first = input.first[1];
         let mut sealers = [&PEERS[0], &PEERS[1], &UNKNOWN].map(|credential| {
             let key = credential.prepare().expect("a key");
             Sealer::<AesGcm>::resume(key, credential.id, first)
@@ -203,10 +203,6 @@ impl Script {
     }
 }
 
-fn number([high, low]: [u16; 2]) -> u32 {
-    u32::from(high) << 16 | u32::from(low)
-}
-
 /// What has been seen of an end since it was switched on.
 #[derive(Default)]
 struct Seen {
@@ -226,7 +222,7 @@ pub fn sealed_end(input: Ends<'_>) {
     let stages = &input.stages[..input.stages.len().min(200)];
     let script = Script::of(&input, stages);
     let flashes = [0, 1, 2].map(|at| Shared::new(input.chance.wrapping_add(at)));
-    let first = number(input.first[0]);
+    let first = input.first[0];
     if let Some(last) = first.checked_sub(1) {
         let mut mark = HighWaterMark::open(flashes[0].clone(), REGION).expect("fits");
         mark.reserve(last.into(), 0).expect("stored");
