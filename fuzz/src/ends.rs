@@ -7,7 +7,7 @@ use mavlink_commsec::field::{KEY_SIZE, PACKAGE_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::radio::Status;
 use mavlink_commsec::{
     AesGcm, Cipher, CipherError, Credential, Nonce, Opener, PackageTag, Plaintext, Sealer,
-    SenderId, ZeroizeOnDrop, hx, packets,
+    SenderId, ZeroizeOnDrop, hx, hx::FrameKind, packets,
 };
 use mavseal_relay::Direction;
 use mavseal_relay::sealed::{Counters, Event, HighWaterMarks, Radio, RejectReason, SealedEndpoint};
@@ -134,13 +134,12 @@ impl Script {
         });
         let mut packages: Vec<Vec<u8>> = Vec::new();
         let mut rest = input.bytes;
-        let mut serial = 0;
-        for Stage { kind, of, .. } in stages {
+        for (Stage { kind, of, .. }, serial) in stages.iter().zip(1..) {
             let before = [script.local.len(), script.air.len()];
             let mut some = || {
                 let (some, others) = rest.split_at(rest.len().min((*of).into()));
                 rest = others;
-                some
+                some.to_vec()
             };
             let mut seal = |which: usize, text: &[u8]| {
                 let mut message = [0; PLAINTEXT_SIZE];
@@ -153,48 +152,32 @@ impl Script {
                 packages.push(package.clone());
                 Some(package)
             };
-            serial += 1;
-            let mut frame = |tag, payload: &[u8]| {
-                if let Ok(frame) = hx::Frame::new(tag, payload) {
-                    script.air.extend(frame.encode());
+            let payload = match kind {
+                4..=6 => seal(usize::from(kind - 4), &tunnel(of % 68, serial)),
+                7 => packages.iter().nth_back((*of).into()).cloned(),
+                8 => seal(0, &tunnel(9, serial)).map(|mut package| {
+                    package[usize::from(*of) % PACKAGE_SIZE] ^= 0x10;
+                    package
+                }),
+                9 => seal(0, &some()),
+                10 | 11 => Some(some()),
+                12 => {
+                    let (rssi, others) = (*of, Status::default());
+                    Some(Status { rssi, ..others }.to_wire().to_vec())
                 }
+                _ => None,
             };
+            let tag = [FrameKind::AirData, FrameKind::Radio][usize::from(*kind >= 11)];
             match kind {
                 0 => script.local.extend(HEARTBEAT),
                 1 => script.local.extend(tunnel(*of, serial)),
                 2 => script.local.extend(some()),
                 3 => script.air.extend(some()),
-                4..=6 => {
-                    let package = seal(usize::from(kind - 4), &tunnel(of % 68, serial));
-                    frame(hx::FrameKind::AirData, &package.unwrap_or_default());
+                _ => {
+                    let payload = payload.unwrap_or_default();
+                    let frame = hx::Frame::new(tag, &payload).into_iter();
+                    script.air.extend(frame.flat_map(|frame| frame.encode()));
                 }
-                7 => {
-                    let at = packages.len().checked_sub(usize::from(*of) + 1);
-                    let package = at.map_or(&[][..], |at| &packages[at]);
-                    frame(hx::FrameKind::AirData, package);
-                }
-                8 => {
-                    let package = seal(0, &tunnel(9, serial));
-                    let mut package = package.unwrap_or_default();
-                    if let Some(byte) = package.get_mut(usize::from(*of) % PACKAGE_SIZE) {
-                        *byte ^= 0x10;
-                    }
-                    frame(hx::FrameKind::AirData, &package);
-                }
-                9 => {
-                    let package = seal(0, some());
-                    frame(hx::FrameKind::AirData, &package.unwrap_or_default());
-                }
-                10 => frame(hx::FrameKind::AirData, some()),
-                11 => frame(hx::FrameKind::Radio, some()),
-                12 => {
-                    let status = Status {
-                        rssi: *of,
-                        ..Status::default()
-                    };
-                    frame(hx::FrameKind::Radio, &status.to_wire());
-                }
-                _ => {}
             }
             let lengths = [script.local.len() - before[0], script.air.len() - before[1]];
             script.lengths.push(lengths);
@@ -240,11 +223,11 @@ pub fn sealed_end(input: Ends<'_>) {
         let mut seen = Seen::default();
         for (stage, lengths) in stages.by_ref() {
             now += 4 * u64::from(stage.ticks);
+            let flash = &flashes[usize::from(stage.of % 3)];
             match stage.kind {
                 13 => break,
-                14 => flashes[usize::from(stage.of % 3)]
-                    .with(|flash| flash.cut_after((stage.of / 4).into())),
-                15 => flashes[usize::from(stage.of % 3)].with(|flash| flash.fail(u8::MAX)),
+                14 => flash.with(|flash| flash.cut_after((stage.of / 4).into())),
+                15 => flash.with(|flash| flash.fail(u8::MAX)),
                 _ => {}
             }
             let faults = stage.ports.map(|port| Fault::from(port.fault));
@@ -272,16 +255,13 @@ pub fn sealed_end(input: Ends<'_>) {
                         Event::Opened(sender) => {
                             opened(&script, &end, sender, &mut accepted, &mut seen);
                         }
-                        Event::Radio(status) => {
-                            if input.station {
-                                seen.to_local.extend(status.gcs_radio(seen.told));
-                                seen.told = seen.told.wrapping_add(1);
-                            }
+                        Event::Radio(status) if input.station => {
+                            seen.to_local.extend(status.gcs_radio(seen.told));
+                            seen.told = seen.told.wrapping_add(1);
                         }
-                        Event::Rejected(direction, rejection) => {
-                            let inward = direction == Direction::Inbound;
-                            seen.rejected[usize::from(inward)].push(rejection);
-                        }
+                        Event::Radio(_) => {}
+                        Event::Rejected(Direction::Outbound, it) => seen.rejected[0].push(it),
+                        Event::Rejected(Direction::Inbound, it) => seen.rejected[1].push(it),
                     }
                 }
                 let moved = polled.moved();
@@ -311,21 +291,16 @@ pub fn sealed_end(input: Ends<'_>) {
 }
 
 fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> SealedEndpoint<Shared, 2, Unit> {
-    let [sent, one, two] = flashes
-        .each_ref()
-        .map(|flash| HighWaterMark::open(flash.clone(), REGION).expect("fits"));
+    let mark = |at: usize| HighWaterMark::open(flashes[at].clone(), REGION).expect("fits");
     let marks = HighWaterMarks {
-        sent,
-        accepted: [one, two],
+        sent: mark(0),
+        accepted: [mark(1), mark(2)],
     };
-    let radio = if input.station {
-        Radio::Station
-    } else {
-        Radio::Vehicle {
-            system_id: 1,
-            component_id: 68,
-        }
+    let vehicle = Radio::Vehicle {
+        system_id: 1,
+        component_id: 68,
     };
+    let radio = [vehicle, Radio::Station][usize::from(input.station)];
     let own = credential(7, if input.broken { BROKEN } else { 1 });
     let max_delay = Duration::from_millis(input.max_delay.into());
     SealedEndpoint::new(&own, &PEERS, marks, radio, max_delay).expect("keys")
@@ -377,7 +352,7 @@ fn left(input: &Ends<'_>, local: &[u8], air: &[u8], last: &mut u32) {
             .push(*byte)
             .map(|frame| frame.expect("whole frames"));
         let Some(frame) = frame else { continue };
-        if frame.kind() == hx::FrameKind::Radio {
+        if frame.kind() == FrameKind::Radio {
             assert_eq!(frame.payload(), b"B\r");
             continue;
         }

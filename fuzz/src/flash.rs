@@ -6,15 +6,16 @@ use std::rc::Rc;
 use arbitrary::Arbitrary;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyRing, KeyStore,
-    NotStored, Profile, RolloverState, SigningKey, sign_frame,
+    Authenticate, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyRing, KeyStore,
+    NotStored, Profile, RolloverState, SigningKey,
 };
 use mavseal_proofs::keys::{self, Event, Memory};
 use mavseal_relay::FlashKeyStore;
 use mavseal_store::model::{Failure, Flash, PAGE_SIZE, WORD_SIZE};
 use mavseal_store::{HighWaterMark, Journal, OpenError, Region};
 
-use crate::input::{Head, Stamped};
+use crate::input::Stamped;
+use crate::repair::signed;
 
 /// The two pages of a [`Shared`].
 pub(crate) const REGION: Region = Region {
@@ -108,20 +109,19 @@ impl InFlash {
         let (mut slots, found) = opened::<Hmac>(&flash);
         assert!(found.is_none() && slots.is_empty());
         let _ = slots.provision::<Hmac>(&keys::bytes(1)).expect("stored");
-        let (cuts, starts) = (input.cuts, input.starts);
         Self {
             flash,
             slots,
-            cuts,
-            starts,
+            cuts: input.cuts,
+            starts: input.starts,
         }
     }
 
     fn cut(&mut self) {
         let [steps, ..] = self.cuts;
         self.cuts.rotate_left(1);
-        self.flash
-            .with(|flash| flash.cut_after((steps % 16).into()));
+        let after = (steps % 16).into();
+        self.flash.with(|flash| flash.cut_after(after));
     }
 }
 
@@ -141,14 +141,12 @@ impl Memory for InFlash {
     fn restart<P: Profile>(&mut self) -> KeyRing<P> {
         self.flash.restart();
         self.starts = self.starts.rotate_left(1);
-        let before = if self.starts & 1 == 1 {
+        let mut before = None;
+        if self.starts & 1 == 1 {
             self.cut();
-            let (_, keys) = opened::<P>(&self.flash);
+            before = opened::<P>(&self.flash).1.map(|keys| keys.rollover_state());
             self.flash.restart();
-            keys.map(|keys| keys.rollover_state())
-        } else {
-            None
-        };
+        }
         let (slots, keys) = opened(&self.flash);
         self.slots = slots;
         let keys: KeyRing<P> = keys.expect("a key was stored");
@@ -216,12 +214,8 @@ fn provides(input: &Slots) {
                 may_be = vec![byte];
                 in_use = true;
             }
-            Err(KeyChangeError::Key(_)) => assert_eq!(byte, 0),
-            Err(error) => {
-                assert_eq!(*error, KeyChangeError::NotStored);
-                assert_ne!(input.failing, 0);
-                may_be.push(byte);
-            }
+            Err(KeyChangeError::NotStored) if input.failing > 0 => may_be.push(byte),
+            Err(error) => assert!(byte == 0 && matches!(error, KeyChangeError::Key(_))),
         }
         assert!(byte != 0 || provided.is_err());
     }
@@ -232,21 +226,17 @@ fn provides(input: &Slots) {
         assert_eq!(keys.rollover_state(), RolloverState::Settled);
         let is = |byte: &&u8| accepts(&keys, **byte);
         let found = *may_be.iter().find(is).expect("one of those");
-        for byte in input
-            .provided
-            .iter()
-            .filter(|byte| **byte != found && **byte != 0)
-        {
-            assert!(!flash.with(|flash| flash.holds(&[*byte; WORD_SIZE])));
+        for byte in input.provided {
+            let holds = flash.with(|flash| flash.holds(&[byte; WORD_SIZE]));
+            assert!(byte == found || byte == 0 || !holds);
         }
     }
 }
 
 /// Whether a frame that is signed with key `byte` is accepted.
 fn accepts(keys: &KeyRing<Hmac>, byte: u8) -> bool {
-    let mut frame = Frame::new(Head::default().into(), &[]).expect("in every dialect");
     let key = SigningKey::<Hmac>::new(&[byte; KEY_SIZE]).expect("not zeros");
-    sign_frame(&mut frame, &key, Stamped::default().into()).expect("not signed yet");
+    let frame = signed(&key, Stamped::default().into());
     let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     keys.authenticate(frame).is_ok()
 }

@@ -14,7 +14,7 @@ use mavseal_proofs::{emit, packet, parse, relay, sign, unforgeable, verify};
 use mavseal_relay::ForwardMode;
 
 use crate::input::{Head, Message, Moment, NOW, Receiver, Stamped};
-use crate::repair::{self, KEY, Shape};
+use crate::repair::{self, KEY};
 
 /// Any bytes: parsing (W1), the front of a decoder's buffer (W3), and the verdict on them (V1, V2).
 pub fn verify_frame(bytes: &[u8]) {
@@ -112,10 +112,9 @@ impl Packaged<'_> {
     #[must_use]
     pub fn packet(&self) -> (Vec<u8>, Option<Tag>) {
         let repaired = |bit: u32| self.repairs >> bit & 1 == 1;
-        let shape = [Shape::Any, Shape::Mavlink1, Shape::Unsigned, Shape::Signed];
         let mut bytes = self.bytes.to_vec();
         let mut tag = None;
-        repair::shape(&mut bytes, shape[usize::from(self.repairs & 3)]);
+        repair::shape(&mut bytes, self.repairs & 3);
         if let Some(mut parts) = repair::parts(&bytes) {
             if repaired(2) {
                 parts.set_id(&mut bytes, self.message.id());

@@ -6,15 +6,15 @@ use arbitrary::Arbitrary;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
-    Clock, Frame, FrameRef, Header, LinkClock, MessageId, RESERVATION, ReplayGuard, Stamp, Stamper,
-    SyncState, TimeSource, Timestamp, VerifyError, Window, authenticate, sign_frame, system_time,
+    Clock, FrameRef, LinkClock, RESERVATION, ReplayGuard, Stamp, Stamper, SyncState, TimeSource,
+    Timestamp, VerifyError, Window, authenticate, system_time,
 };
 use mavseal_relay::{PersistentClock, PersistentClockError};
 use mavseal_store::model::{Flash, PAGE_SIZE};
 use mavseal_store::{HighWaterMark, Region, ReserveError, StoreError};
 
 use crate::input::Moment;
-use crate::repair::KEY;
+use crate::repair::{KEY, signed};
 use crate::senders::{jump, move_by};
 
 const REGION: Region = Region {
@@ -173,19 +173,15 @@ impl<T: FnMut() -> u64> Run<T> {
             return;
         }
         assert_eq!(told, Ok(time.ticks_since(before)));
-        assert_eq!(
-            (self.kept.now(), self.kept.sync()),
-            (time, SyncState::Synced)
-        );
+        let after = (self.kept.now(), self.kept.sync());
+        assert_eq!(after, (time, SyncState::Synced));
         self.bounded = 0;
     }
 
     fn moved(&mut self, before: Timestamp, time: Timestamp) {
         let sync = self.kept.sync();
-        let step = self
-            .kept
-            .update(TimeSource::Bounded, time)
-            .expect("never rejected");
+        let step = self.kept.update(TimeSource::Bounded, time);
+        let step = step.expect("never rejected");
         assert_eq!(self.kept.now(), before.saturating_add(step));
         assert_eq!(self.kept.sync(), sync);
         assert!(step <= time.ticks_since(before));
@@ -199,55 +195,37 @@ impl<T: FnMut() -> u64> Run<T> {
         };
         assert_eq!(link_id, LINK_IDS[0]);
         assert!(timestamp >= before);
-        assert!(
-            used.given.is_none_or(|last| timestamp > last),
-            "given twice"
-        );
-        used.given = Some(timestamp);
+        let last = used.given.replace(timestamp);
+        assert!(last.is_none_or(|last| timestamp > last), "given twice");
     }
 
     fn hears(&mut self, before: Timestamp, timestamp: Timestamp, used: &mut Used) {
         let link_id = LINK_IDS[1];
-        let mut frame = Frame::new(HEARTBEAT, &[]).expect("a known message");
-        sign_frame(&mut frame, &KEY, Stamp { link_id, timestamp }).expect("not signed yet");
+        let frame = signed(&KEY, Stamp { link_id, timestamp });
         let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
         let authentic = authenticate(frame, &*KEY).expect("signed with this key");
-        let sync = self.kept.sync();
-        let last = self.receiver.last();
+        let (sync, last, minute) = (self.kept.sync(), self.receiver.last(), Window::ONE_MINUTE);
         let verdict = self.kept.admit(&mut self.receiver, authentic).map(drop);
         let after = self.kept.now();
         let off = before.ticks().abs_diff(timestamp.ticks());
         if verdict.is_err() {
-            assert_eq!(self.receiver.last(), last);
-            assert_eq!(after, before);
-            assert_eq!(self.kept.sync(), sync);
+            assert_eq!((self.receiver.last(), after), (last, before));
         } else {
             let last = used.accepted.replace(timestamp);
             assert!(last.is_none_or(|last| timestamp > last), "accepted twice");
+            let behind = after.ticks().abs_diff(timestamp.ticks());
             match sync {
-                SyncState::Synced => {
-                    assert!(off <= Window::ONE_MINUTE.past.max(Window::ONE_MINUTE.ahead))
-                }
-                SyncState::Unsynced => {
-                    assert!(after.ticks().abs_diff(timestamp.ticks()) <= RESERVATION);
-                }
+                SyncState::Synced => assert!(off <= minute.past.max(minute.ahead)),
+                SyncState::Unsynced => assert!(behind <= RESERVATION),
             }
-            assert_eq!(self.kept.sync(), sync);
         }
-        if sync == SyncState::Synced && off > Window::ONE_MINUTE.past {
+        assert_eq!(self.kept.sync(), sync);
+        if sync == SyncState::Synced && off > minute.past {
             let rejected = [VerifyError::FromFuture, VerifyError::TooOld];
             assert!(verdict.is_err_and(|error| rejected.contains(&error)));
         }
     }
 }
-
-const HEARTBEAT: Header = Header {
-    compat_flags: 0,
-    sequence: 0,
-    system_id: 1,
-    component_id: 1,
-    message_id: MessageId::from_le_bytes([0, 0, 0]),
-};
 
 /// A SYSTEM_TIME that tells `time` is read as that, however many of its zeros are cut.
 fn shown(time: Timestamp) {
