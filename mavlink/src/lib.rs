@@ -55,8 +55,3 @@ pub use unsigned::{
 pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};
 /// What a [`Profile`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;
-
-/// The project's README, so that its example is compiled and run.
-#[cfg(doctest)]
-#[doc = include_str!("../../README.md")]
-mod readme {}
