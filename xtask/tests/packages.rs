@@ -55,7 +55,10 @@ fn packed_crates_pass_their_own_tests() {
 
     let libraries = libraries();
     let root = libraries[0].1.join("..");
-    let mut package = cargo(&root, &["package", "--allow-dirty", "--no-verify", "--offline"]);
+    let mut package = cargo(
+        &root,
+        &["package", "--allow-dirty", "--no-verify", "--offline"],
+    );
     package.arg("--target-dir").arg(&folder);
     for (name, _) in &libraries {
         package.args(["-p", name]);
@@ -67,7 +70,10 @@ fn packed_crates_pass_their_own_tests() {
     for (name, _) in &libraries {
         let file = format!("{name}-{}", env!("CARGO_PKG_VERSION"));
         let archive = folder.join("package").join(format!("{file}.crate"));
-        run(Command::new("tar").arg("xzf").arg(archive).current_dir(&packed));
+        run(Command::new("tar")
+            .arg("xzf")
+            .arg(archive)
+            .current_dir(&packed));
         workspace += &format!("{name} = {{ path = \"{file}\" }}\n");
     }
     fs::write(packed.join("Cargo.toml"), workspace).expect("a manifest");

@@ -68,7 +68,11 @@ fn write_crate(name: &str, blocks: &[(&str, &str)]) -> (PathBuf, usize) {
         if !kind.starts_with("rust") {
             continue;
         }
-        let file = match text.lines().next().and_then(|line| line.strip_prefix("// ")) {
+        let file = match text
+            .lines()
+            .next()
+            .and_then(|line| line.strip_prefix("// "))
+        {
             Some(file) if file.ends_with(".rs") => file.to_owned(),
             _ => format!("src/bin/example-{programs}.rs"),
         };
