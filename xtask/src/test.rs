@@ -66,17 +66,17 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         firmware::run(&firmware::Options::default())
     });
     checks.step(
-        "firmware that may panic, log or sign wrongly is refused",
+        "firmware that may panic, log or sign wrongly is rejected",
         firmware::checks_can_fail,
     );
-    checks.step("wrong tags refused in constant time", || {
+    checks.step("wrong tags rejected in constant time", || {
         firmware::constant_time(options.all)
     });
     checks.step("log of the STM32C092RC", firmware::log);
     checks.step("signing demo in QEMU", signing_demo);
     checks.step("demonstration", || call(".", "cargo xtask demo", &[]));
     checks.step("demonstration with an echo must fail", || {
-        fails("demo --firmware echo", "left the secure side unsigned")
+        fails("demo --firmware echo", "left the link side unsigned")
     });
     checks.step("demonstration of restarts", || {
         call(".", "cargo xtask demo --restart", &[])
