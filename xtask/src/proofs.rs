@@ -9,19 +9,18 @@ use std::{
     sync::Mutex,
 };
 
-use anyhow::{Context, Result, bail, ensure};
-use cargo_metadata::MetadataCommand;
+use anyhow::{Result, bail, ensure};
 use clap::Args;
 use comfy_table::{Table, presets};
 use regex::Regex;
-use serde::Deserialize;
 
-use crate::{
-    setup::root,
-    sources::{Sources, lock, share, text},
-};
+use crate::sources::{Sources, lock, share, text};
 use kani::Proof;
 
+/// The version that continuous integration installs; results tell which one was used.
+const KANI: &str = "0.67.0";
+/// The properties of `--fast`.
+const FAST: [&str; 5] = ["C1", "R1", "T1", "V1", "W1"];
 /// The name under which results are kept.
 pub(crate) const RESULTS: &str = "proofs";
 
@@ -32,7 +31,7 @@ pub(crate) struct Options {
     /// mutants of this name
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
-    /// Only the properties that Cargo.toml lists as fast
+    /// Only properties that are proved fast: C1, R1, T1, V1, W1
     #[arg(long, conflicts_with = "only")]
     fast: bool,
     /// Break the code in known ways, which harnesses and property tests must notice
@@ -43,38 +42,16 @@ pub(crate) struct Options {
     jobs: usize,
 }
 
-/// `[workspace.metadata.proofs]` in Cargo.toml.
-#[derive(Deserialize)]
-#[serde(rename_all = "kebab-case")]
-struct Settings {
-    kani: String,
-    fast: Vec<String>,
-    memory_gb: u64,
-}
-
-impl Settings {
-    fn load() -> Result<Self> {
-        let mut metadata = MetadataCommand::new();
-        let metadata = metadata.manifest_path(root().join("Cargo.toml")).no_deps();
-        let settings = metadata.exec()?.workspace_metadata["proofs"].clone();
-        serde_json::from_value(settings).context("workspace.metadata.proofs of Cargo.toml")
+/// Why nothing is proved, if Kani is missing.
+fn missing() -> Option<String> {
+    let install = format!("cargo install --locked kani-verifier@{KANI} && cargo kani setup");
+    let version = kani::installed();
+    if let Some(version) = version.as_ref().filter(|version| *version != KANI) {
+        println!("This is Kani {version}; continuous integration has {KANI}.");
     }
-
-    /// Why nothing is proved, if Kani is missing.
-    fn missing(&self) -> Option<String> {
-        let named = &self.kani;
-        match kani::installed() {
-            Some(version) => {
-                if version != *named {
-                    println!("This is Kani {version}; Cargo.toml names {named}.");
-                }
-                None
-            }
-            None => Some(format!(
-                "Kani is missing: cargo install --locked kani-verifier@{named} && cargo kani setup"
-            )),
-        }
-    }
+    version
+        .is_none()
+        .then(|| format!("Kani is missing: {install}"))
 }
 
 /// Runs what the options say.
@@ -82,10 +59,9 @@ impl Settings {
 /// # Errors
 /// If a harness is not verified, or a mutant is missed; which has been printed.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let settings = Settings::load()?;
-    let missing = settings.missing();
+    let missing = missing();
     if options.mutants {
-        return mutants::run(&settings, missing, &options.only, options.jobs);
+        return mutants::run(missing, &options.only, options.jobs);
     }
     if let Some(missing) = missing {
         bail!(missing);
@@ -104,11 +80,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     chosen.retain(|name, _| {
         let id = id_of(name);
         let named = |only: &String| id == only.to_uppercase() || name.contains(only);
-        (!options.fast || settings.fast.contains(&id))
+        (!options.fast || FAST.contains(&&*id))
             && (options.only.is_empty() || options.only.iter().any(named))
     });
     ensure!(!chosen.is_empty(), "there is no such harness");
-    prove(&sources, chosen, options.jobs, &settings)
+    prove(&sources, chosen, options.jobs)
 }
 
 /// For `cargo xtask test`: the fast proofs, or why they were not run.
@@ -116,7 +92,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 /// # Errors
 /// As [`run`].
 pub(crate) fn fast() -> Result<Option<String>> {
-    let missing = Settings::load()?.missing();
+    let missing = missing();
     if missing.is_none() {
         let only = Vec::new();
         run(&Options {
@@ -130,12 +106,7 @@ pub(crate) fn fast() -> Result<Option<String>> {
 }
 
 /// Runs harnesses, given by their names and paths, keeps and prints the results.
-fn prove(
-    sources: &Sources,
-    harnesses: BTreeMap<String, String>,
-    jobs: usize,
-    settings: &Settings,
-) -> Result<()> {
+fn prove(sources: &Sources, harnesses: BTreeMap<String, String>, jobs: usize) -> Result<()> {
     let of = harnesses.len();
     let proofs = Mutex::new(BTreeMap::new());
     share(
@@ -143,8 +114,7 @@ fn prove(
         harnesses.into_iter().collect(),
         |worker, (name, path)| {
             let log = sources.results.join(format!("logs/{name}.log"));
-            let memory = settings.memory_gb * 1000;
-            let proof = kani::prove(&sources.worktree(worker)?, &path, &log, memory)?;
+            let proof = kani::prove(&sources.worktree(worker)?, &path, &log)?;
             sources.record(RESULTS, &name, &proof)?;
             let mut proofs = lock(&proofs);
             println!(

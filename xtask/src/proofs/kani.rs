@@ -20,6 +20,9 @@ use crate::sources::{text, today};
 const NO_REFUTATION: &str = "^(unwind|recursion|unsupported_construct|missing_definition|reachability_check|\
     sanity_check|cover)$|unwinding assertion|not currently supported by Kani|missing definition";
 
+/// The most that CBMC may use. How long it may take stands in Cargo.toml.
+const MEMORY_MB: u64 = 8000;
+
 /// How a harness ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Verdict {
@@ -105,12 +108,11 @@ pub(crate) fn list(tree: &Path) -> Result<BTreeMap<String, String>> {
     Ok(harnesses)
 }
 
-/// Runs the harness `path` in `tree`, with the flags that `cargo kani` alone has; its output goes to `log`. CBMC
-/// is ended where it uses more memory than this; Kani ends it where it takes too long.
+/// Runs the harness `path` in `tree`, with the flags that `cargo kani` alone has; its output goes to `log`.
 ///
 /// # Errors
 /// If Kani cannot be started or watched.
-pub(crate) fn prove(tree: &Path, path: &str, log: &Path, memory_mb: u64) -> Result<Proof> {
+pub(crate) fn prove(tree: &Path, path: &str, log: &Path) -> Result<Proof> {
     fs::create_dir_all(log.with_file_name(""))?;
     let file = File::create(log)?;
     let mut command = kani();
@@ -141,7 +143,7 @@ pub(crate) fn prove(tree: &Path, path: &str, log: &Path, memory_mb: u64) -> Resu
                 .and_then(|rss| rss.parse().ok())
                 .unwrap_or(0u64);
             peak = peak.max(kilobytes * 1024 / 1_000_000);
-            if peak > memory_mb {
+            if peak > MEMORY_MB {
                 Command::new("kill").args(["-KILL", id]).status()?;
             }
         }

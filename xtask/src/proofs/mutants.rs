@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 
-use super::{RESULTS, Settings, kani, kani::Proof, kani::Verdict, prove};
+use super::{RESULTS, kani, kani::Proof, kani::Verdict, prove};
 use crate::{
     mutants::{Mutant, Outcome, each},
     sources::Sources,
@@ -16,12 +16,7 @@ use crate::{
 
 /// Tries each mutant with the harnesses and property tests that must notice it; without Kani, `missing`, with
 /// the tests alone.
-pub(super) fn run(
-    settings: &Settings,
-    missing: Option<String>,
-    only: &[String],
-    jobs: usize,
-) -> Result<()> {
+pub(super) fn run(missing: Option<String>, only: &[String], jobs: usize) -> Result<()> {
     let sources = Sources::now()?;
     let tree = sources.worktree(0)?;
     let mutants = Mutant::load(&tree, only)?;
@@ -47,7 +42,7 @@ pub(super) fn run(
             }
         }
         if !unproved.is_empty() {
-            prove(&sources, unproved, jobs, settings)?;
+            prove(&sources, unproved, jobs)?;
         }
     }
     each(&sources, "proof-mutants", mutants, jobs, |mutant, tree| {
@@ -65,7 +60,7 @@ pub(super) fn run(
             let log = sources
                 .results
                 .join(format!("logs/{}/{name}.log", mutant.name));
-            let proof = kani::prove(tree, path, &log, settings.memory_gb * 1000)?;
+            let proof = kani::prove(tree, path, &log)?;
             let outcome = match proof.verdict {
                 Verdict::Refuted => Outcome::Caught,
                 Verdict::Verified => Outcome::Missed,
