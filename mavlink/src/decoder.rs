@@ -330,6 +330,7 @@ impl Decoder {
 }
 
 #[cfg(kani)]
+#[cfg_attr(test, mutants::skip)]
 impl Decoder {
     /// For proofs: the first `length` bytes of `bytes` in the buffer, `done` and `lent` of them done
     /// with and lent out; nothing dropped so far.

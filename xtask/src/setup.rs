@@ -5,7 +5,6 @@
 
 mod apt;
 mod distribution;
-mod fuzz;
 mod python;
 
 use std::{
@@ -18,7 +17,6 @@ use std::{
 use anyhow::{Context, Result, bail, ensure};
 use xshell::{Shell, cmd};
 
-pub(crate) use fuzz::{CargoFuzz, cargo_fuzz, llvm_tools, rustc_in_use};
 pub(crate) use python::python;
 
 /// The machine all firmware for QEMU is built for: MPS2 with the AN500 image, a Cortex-M7.
