@@ -5,7 +5,7 @@ use mavlink_signing::{
     SigningKey, Stamp, Timestamp, Window, sign_frame,
 };
 
-use crate::keys::{Model, bytes};
+use crate::key_memory::{Model, bytes, key};
 use crate::model::HEARTBEAT;
 
 /// Keys by their numbers, none of which is 0, which stands for a key of zeros; two different ones.
@@ -205,10 +205,6 @@ fn rejection(error: KeyChangeError) -> Option<Rejected> {
         KeyChangeError::NotOffered => Some(Rejected::NotOffered),
         _ => None,
     }
-}
-
-fn key<P: Profile>(number: u8) -> SigningKey<P> {
-    SigningKey::new(&bytes(number)).expect("not zeros")
 }
 
 /// Bytes of the frame that is signed here: nothing in it but its header.

@@ -11,6 +11,7 @@ pub mod framing;
 pub mod history;
 pub mod hmac;
 pub mod keeper;
+pub mod key_memory;
 pub mod key_step;
 pub mod keys;
 pub mod link;
