@@ -26,8 +26,7 @@ const CORE_TARGETS: [&str; 3] = [
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: every wrong tag, the firmware built by the distribution's
-    /// compiler, 100,000 histories of a link, the mutants of the cores, and unmodified peers
+    /// Also what takes long or installs much: every wrong tag, 100,000 histories of a link, the mutants of the cores, and unmodified peers
     #[arg(long)]
     all: bool,
 }
@@ -43,7 +42,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step("documentation", documentation);
     checks.step("host and doc tests", host_tests);
     checks.step("cores alone for microcontrollers", cores_alone);
-    checks.step_unless("firmware lints", firmware_lints);
+    checks.step("firmware lints", firmware_lints);
     checks.step("firmware sizes", || {
         firmware::run(&firmware::Options::default())
     });
@@ -73,7 +72,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step("inputs of the fuzz targets, and their table", inputs);
     checks.step_unless("fuzz targets, some seconds each", fuzz::smoke);
     if options.all {
-        checks.step("firmware by the distribution's compiler", distribution);
         checks.step("100,000 histories of a link", histories);
         checks.step("mutants of the cores", mutants::all);
         checks.step("interoperation with unmodified peers", interoperation);
@@ -215,27 +213,19 @@ fn inputs() -> Result<()> {
 /// A new chip needs no change to the cores: they build for one that no crate of `chips/` is for.
 fn cores_alone() -> Result<()> {
     for target in CORE_TARGETS {
-        let toolchain = setup::toolchain(target)?;
-        println!("{target}: {toolchain}");
-        let mut cargo = toolchain.cargo("build");
+        println!("{target}");
+        let mut cargo = setup::cargo_for(target, "build")?;
         cargo.current_dir(root());
-        cargo.args(["--quiet", "--locked"]);
         cargo
-            .args(mutants::CORES.iter().flat_map(|core| ["-p", core]))
-            .arg("--target-dir")
-            .arg(toolchain.target_dir(&root().join("target")));
+            .args(["--quiet", "--locked"])
+            .args(mutants::CORES.iter().flat_map(|core| ["-p", core]));
         succeed(&mut cargo)?;
     }
     Ok(())
 }
 
-fn firmware_lints() -> Result<Option<String>> {
+fn firmware_lints() -> Result<()> {
     for chip in Chip::ALL {
-        let toolchain = setup::toolchain(chip.target())?;
-        let mut version = toolchain.cargo("clippy");
-        if !version.arg("--version").output()?.status.success() {
-            return Ok(Some(format!("{toolchain} has no clippy")));
-        }
         let sealing = match chip {
             Chip::QemuM7 => &["common,sealing", "common,logging,sealing"][..],
             Chip::Stm32c092rc => &[],
@@ -247,7 +237,7 @@ fn firmware_lints() -> Result<Option<String>> {
             "minimal,leaky",
         ];
         for features in signing.iter().chain(sealing) {
-            let mut cargo = toolchain.cargo("clippy");
+            let mut cargo = setup::cargo_for(chip.target(), "clippy")?;
             cargo.env(firmware::KEYS_VARIABLE, firmware::keys()?);
             cargo.current_dir(root().join("chips").join(chip.directory()));
             cargo.args(["--quiet", "--locked", "--no-default-features"]);
@@ -255,16 +245,15 @@ fn firmware_lints() -> Result<Option<String>> {
             succeed(&mut cargo)?;
         }
     }
-    Ok(None)
+    Ok(())
 }
 
 /// The signing demo prints what is committed beside it, run as a developer runs it.
 fn signing_demo() -> Result<()> {
-    setup::qemu(&Shell::new()?)?;
-    let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
+    setup::qemu()?;
     let folder = root().join("chips/qemu-m7");
     let expected = fs::read_to_string(root().join("chips/demo/demo.out"))?;
-    let mut cargo = toolchain.cargo("run");
+    let mut cargo = setup::cargo_for("thumbv7em-none-eabihf", "run")?;
     cargo.current_dir(&folder);
     cargo.args(["--quiet", "--locked", "--release"]);
     let output = cargo.stderr(Stdio::inherit()).output()?;
@@ -322,14 +311,6 @@ fn histories() -> Result<()> {
         "cargo test --quiet --locked --release -p mavseal-relay {test...}"
     )
     .run()?;
-    Ok(())
-}
-
-fn distribution() -> Result<()> {
-    let sh = shell(".")?;
-    sh.set_var("MAVSEAL_TOOLCHAIN", "distribution");
-    cmd!(sh, "cargo xtask firmware").run()?;
-    cmd!(sh, "cargo xtask demo").run()?;
     Ok(())
 }
 

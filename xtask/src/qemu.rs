@@ -14,7 +14,6 @@ use std::{
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use defmt_decoder::{DecodeError, Table};
-use xshell::Shell;
 
 use crate::setup;
 
@@ -96,7 +95,7 @@ impl fmt::Display for Line {
 }
 
 impl Machine {
-    /// Boots an ELF file on [`setup::MACHINE`] with the first `ports` UARTs connected.
+    /// Boots an ELF file on the machine mps2-an500 with the first `ports` UARTs connected.
     ///
     /// `on_line` gets each line of the log, in a thread of its own.
     ///
@@ -164,14 +163,17 @@ impl Machine {
         control: Option<SocketAddr>,
         on_line: impl FnMut(Line) + Send + 'static,
     ) -> Result<Machine> {
-        let qemu = setup::qemu(&Shell::new()?)?;
+        let qemu = {
+            setup::qemu()?;
+            "qemu-system-arm"
+        };
         let data = fs::read(elf).with_context(|| elf.display().to_string())?;
         let table = Table::parse(&data).with_context(|| format!("the log of {}", elf.display()))?;
 
         let mut command = Command::new(qemu);
         command.args([
             "-machine",
-            setup::MACHINE,
+            "mps2-an500",
             "-display",
             "none",
             "-monitor",

@@ -137,17 +137,13 @@ pub(crate) fn keys() -> Result<PathBuf> {
 pub(crate) fn build_with(image: &Image, keys: &Path) -> Result<PathBuf> {
     let chips = root().join("chips");
     let directory = chips.join(image.chip.directory());
-    let toolchain = setup::toolchain(image.chip.target())?;
     let mut target_dir = match env::var_os("CARGO_TARGET_DIR") {
         Some(shared) => std::path::absolute(shared)?.join("chips"),
         None => chips.join("target"),
     };
-    eprintln!(
-        "building {image} for {} by {toolchain}",
-        image.chip.target()
-    );
+    eprintln!("building {image} for {}", image.chip.target());
     // From within its directory, so that the configuration in `chips/.cargo` is found.
-    let mut cargo = toolchain.cargo("build");
+    let mut cargo = setup::cargo_for(image.chip.target(), "build")?;
     cargo
         .current_dir(&directory)
         .env(KEYS_VARIABLE, keys)
@@ -157,7 +153,6 @@ pub(crate) fn build_with(image: &Image, keys: &Path) -> Result<PathBuf> {
         target_dir = target_dir.join("unrolled");
         cargo.env("CARGO_ENCODED_RUSTFLAGS", Rounds::UNROLLED_FLAGS);
     }
-    let target_dir = toolchain.target_dir(&target_dir);
     cargo.args(["--locked", "--quiet", "--bin", image.bin]);
     cargo.args(["--profile", image.profile]);
     cargo.arg("--target-dir").arg(&target_dir);
@@ -167,10 +162,8 @@ pub(crate) fn build_with(image: &Image, keys: &Path) -> Result<PathBuf> {
     if !image.features.is_empty() {
         cargo.arg("--features").arg(image.features.join(","));
     }
-    let status = cargo
-        .status()
-        .with_context(|| format!("{toolchain} cannot be run"))?;
-    ensure!(status.success(), "{image} does not build by {toolchain}");
+    let status = cargo.status().context("cargo cannot be run")?;
+    ensure!(status.success(), "{image} does not build");
     let profile = if image.profile == "dev" {
         "debug"
     } else {
