@@ -47,10 +47,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         firmware::run(&firmware::Options::default())
     });
     checks.step(
-        "firmware that may panic, log or sign wrongly is refused",
+        "firmware that may panic, log or sign wrongly is rejected",
         firmware::checks_can_fail,
     );
-    checks.step("wrong tags refused in constant time", || {
+    checks.step("wrong tags rejected in constant time", || {
         firmware::constant_time(options.all)
     });
     checks.step("log of the STM32C092RC", firmware::log);
@@ -274,7 +274,7 @@ fn demonstration(arguments: &[&str]) -> Result<()> {
 fn echo_fails() -> Result<()> {
     fails(
         &["--firmware", "echo"],
-        "left the secure side unsigned",
+        "left the link side unsigned",
         "the demonstration took an echo for a signer",
     )
 }

@@ -179,7 +179,7 @@ pub(crate) struct Options {
     /// Also list the sections of each image
     #[arg(long)]
     sections: bool,
-    /// Instead, show that wrong tags are refused in constant time: every value of every byte
+    /// Instead, show that wrong tags are rejected in constant time: every value of every byte
     #[arg(long)]
     constant_time: bool,
 }
@@ -275,7 +275,7 @@ pub(crate) fn checks_can_fail() -> Result<()> {
     ensure!(!found.logging.is_empty(), "its log was not found");
     ensure!(!found.panicking.is_empty(), "its panics were not found");
     println!(
-        "refused, as it must be: {}",
+        "rejected, as it must be: {}",
         found.complaints().next().unwrap_or_default()
     );
 
@@ -308,10 +308,10 @@ pub(crate) fn constant_time(all: bool) -> Result<()> {
         ];
         for image in images {
             let program = Program::read(&build(&image)?)?;
-            let refused = constant_time::check(chip, &program, values)?;
+            let rejected = constant_time::check(chip, &program, values)?;
             let (tags, rounds) = (image.tags(), image.rounds);
             println!(
-                "{image}, {tags}, {rounds}: {refused} wrong tags refused by the same instructions"
+                "{image}, {tags}, {rounds}: {rejected} wrong tags rejected by the same instructions"
             );
         }
         let leaky = deployed(chip, "demo", &["minimal", "leaky"]);

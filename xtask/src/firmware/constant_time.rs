@@ -1,4 +1,4 @@
-//! Whether the time of a refusal tells how much of a forged tag is right: compares the instructions
+//! Whether the time of a rejection tells how much of a forged tag is right: compares the instructions
 //! that the image executes.
 
 use anyhow::{Context, Result, ensure};
@@ -10,7 +10,7 @@ use super::{
 };
 
 const TAG_SIZE: usize = 6;
-/// Payload of the frame that is refused, as the image has it.
+/// Payload of the frame that is rejected, as the image has it.
 const PAYLOAD_SIZE: usize = 3;
 const FRAME_SIZE: usize = 10 + PAYLOAD_SIZE + 15;
 
@@ -24,16 +24,16 @@ struct Verifier {
     verify: u32,
 }
 
-/// Refuses frames with wrong tags: a wrong byte, with values from `values`, at each position, and
+/// Rejects frames with wrong tags: a wrong byte, with values from `values`, at each position, and
 /// tags that are wrong everywhere. Gives how many.
 ///
 /// # Errors
-/// If two refusals execute different instructions; says where they part.
+/// If two rejections execute different instructions; says where they part.
 pub(super) fn check(chip: Chip, program: &Program, values: &[u8]) -> Result<usize> {
     let mut verifier = Verifier::new(chip, program)?;
     let right = verifier.tag;
     let (accepted, _) = verifier.verify(right)?;
-    ensure!(accepted, "the right tag is refused");
+    ensure!(accepted, "the right tag is rejected");
 
     let mut wrong = Vec::new();
     for position in 0..TAG_SIZE {

@@ -12,7 +12,7 @@ use armagnac::{
 use super::{Chip, instructions::Decoder, peripherals::Peripherals, program::Program};
 
 /// Instructions after which an image is given up: a demonstration takes a fiftieth.
-const PATIENCE: u64 = 20_000_000;
+const MAX_DELAY: u64 = 20_000_000;
 
 /// The instruction `wfi`.
 const WAIT_FOR_INTERRUPT: u16 = 0xBF30;
@@ -101,7 +101,7 @@ impl Machine {
         let address = self.pc();
         self.executed += 1;
         ensure!(
-            self.executed < PATIENCE,
+            self.executed < MAX_DELAY,
             "it does not end: at {address:#010x}"
         );
         if self.is_at(WAIT_FOR_INTERRUPT) {

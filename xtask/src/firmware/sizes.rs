@@ -87,12 +87,12 @@ impl Symbols {
         for symbol in file.symbols() {
             let name = symbol.name()?;
             count += usize::from(!name.is_empty());
-            let plain = format!("{:#}", rustc_demangle::demangle(name));
+            let local = format!("{:#}", rustc_demangle::demangle(name));
             let panics = ["core::panicking", "rust_begin_unwind"];
-            if panics.iter().any(|name| plain.contains(name)) {
-                found.panicking.push(plain);
+            if panics.iter().any(|name| local.contains(name)) {
+                found.panicking.push(local);
             } else if name == "_SEGGER_RTT" {
-                found.logging.push(plain);
+                found.logging.push(local);
             }
         }
         ensure!(count > 0, "{} is stripped", elf.display());
