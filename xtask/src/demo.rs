@@ -21,11 +21,9 @@ use std::{
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
 use comfy_table::{CellAlignment, Table, presets};
+use mavseal_chips_host::{Chip, Image};
 
-use crate::{
-    firmware::{self, Chip, Image, Rounds},
-    qemu::Machine,
-};
+use crate::qemu::Machine;
 use wire::Frame;
 
 /// The link ids that the firmware signs and verifies with: `chips/qemu-m7/src/bin/relay.rs`.
@@ -75,17 +73,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     if options.seal {
         return seal::run(options.seed, options.other_keys);
     }
-    let elf = firmware::build(&Image {
-        chip: Chip::QemuM7,
-        bin: match options.firmware {
-            Firmware::Relay => "relay",
-            Firmware::Echo => "echo",
-        },
-        profile: "release",
-        rounds: Rounds::Looped,
-        features: &["ardupilotmega"],
-        default_features: true,
-    })?;
+    let bin = match options.firmware {
+        Firmware::Relay => "relay",
+        Firmware::Echo => "echo",
+    };
+    let elf = Image::logging(Chip::QemuM7, bin, "ardupilotmega").build()?;
     if options.restart {
         return restart::run(&elf);
     }

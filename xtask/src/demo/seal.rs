@@ -12,13 +12,11 @@ use std::{
 
 use anyhow::{Result, ensure};
 use mavlink_commsec::{Key, Opener, Sealer, SenderId, hx};
+use mavseal_chips_host::{Chip, Image};
 use mavseal_keys::KeyFile;
 
 use super::{EACH, Row, print_log, summed, wire, wire::Frame};
-use crate::{
-    firmware::{self, Chip, Image, Rounds},
-    setup,
-};
+use crate::setup;
 use air::Air;
 use station::{Sealed, Station, key};
 use vehicle::{Counted, STATUS, Vehicle, frame_of};
@@ -80,15 +78,10 @@ fn build(keys: &KeyFile) -> Result<std::path::PathBuf> {
         fs::remove_file(&path)?;
     }
     keys.write_new(&path)?;
-    let image = Image {
-        chip: Chip::QemuM7,
-        bin: "vehicle",
-        profile: "release",
-        rounds: Rounds::Looped,
-        features: &["ardupilotmega", "sealing"],
-        default_features: true,
-    };
-    firmware::build_with(&image, &path)
+    let image = Image::logging(Chip::QemuM7, "vehicle", "ardupilotmega,sealing");
+    let elf = path.with_extension("elf");
+    image.build_to(&elf, &path)?;
+    Ok(elf)
 }
 
 /// A part of the play.

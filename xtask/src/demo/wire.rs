@@ -47,12 +47,6 @@ pub(crate) fn sign(frame: &[u8], key: &[u8], link_id: u8, ticks: u64) -> Frame {
     sign_by(tag, frame, link_id, ticks)
 }
 
-/// The same as the MAVLink standard has it.
-pub(crate) fn sign_standard(frame: &[u8], key: &[u8], link_id: u8, ticks: u64) -> Frame {
-    let tag = |covered: &[u8]| hmac_sha256::Hash::hash(&[key, covered].concat());
-    sign_by(tag, frame, link_id, ticks)
-}
-
 fn sign_by(tag: impl Fn(&[u8]) -> [u8; 32], frame: &[u8], link_id: u8, ticks: u64) -> Frame {
     let mut signed = frame.to_vec();
     signed[2] |= 1;
