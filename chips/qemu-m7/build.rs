@@ -19,7 +19,7 @@ fn main() {
 mod keys {
     use std::{env, error::Error, fs, path::Path};
 
-    use mavseal_keys::{Exceptions, KeyFile, Who};
+    use mavseal_keys::{Exceptions, KeyFile, Role};
 
     /// The variable that names the key file.
     const VARIABLE: &str = "MAVSEAL_KEYS";
@@ -35,7 +35,7 @@ mod keys {
         let path = Path::new(&path);
         println!("cargo::rerun-if-changed={}", path.display());
         let keys = KeyFile::read(path, Exceptions::default())?;
-        let source = keys.constants(Who::Vehicle)?;
+        let source = keys.to_rust_source(Role::Vehicle)?;
         let folder = env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?;
         fs::write(Path::new(&folder).join("keys.rs"), source.as_bytes())?;
         Ok(())

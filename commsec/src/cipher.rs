@@ -8,16 +8,16 @@ use aes_gcm::aes::cipher::consts::{U8, U12};
 use aes_gcm::{KeyInit, Nonce as GcmNonce, Tag as GcmTag};
 use zeroize::ZeroizeOnDrop;
 
-use crate::field::{KEY_SIZE, MESSAGE_SIZE, NONCE_SIZE, TAG_SIZE};
+use crate::field::{KEY_SIZE, NONCE_SIZE, PLAINTEXT_SIZE, TAG_SIZE};
 
 /// What a package holds when it is open: 80 bytes, whole MAVLink packets and zeros behind them.
-pub type Message = [u8; MESSAGE_SIZE];
+pub type Plaintext = [u8; PLAINTEXT_SIZE];
 
 /// What a package is sealed under and no other: salt, sender id and counter, 12 bytes.
 pub type Nonce = [u8; NONCE_SIZE];
 
 /// The first 8 of the 16 bytes of the cipher's tag.
-pub type Tag = [u8; TAG_SIZE];
+pub type PackageTag = [u8; TAG_SIZE];
 
 /// The cipher did not do it: a tag is wrong, or a hardware unit failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +26,7 @@ pub struct CipherError;
 
 impl fmt::Display for CipherError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the cipher refused")
+        f.write_str("the cipher rejected")
     }
 }
 
@@ -45,7 +45,7 @@ pub trait Cipher: ZeroizeOnDrop {
     /// # Errors
     ///
     /// A hardware unit failed; what is left in `message` must not be sent.
-    fn seal(&self, nonce: &Nonce, message: &mut Message) -> Result<Tag, CipherError>;
+    fn seal(&self, nonce: &Nonce, message: &mut Plaintext) -> Result<PackageTag, CipherError>;
 
     /// Decrypts `message` in place, if `tag` is its tag: all 8 bytes, compared in a time that does not tell
     /// where they differ.
@@ -54,7 +54,12 @@ pub trait Cipher: ZeroizeOnDrop {
     ///
     /// It is not, or a hardware unit failed, which counts as a wrong tag; what is left in `message` must not
     /// be used.
-    fn open(&self, nonce: &Nonce, message: &mut Message, tag: &Tag) -> Result<(), CipherError>;
+    fn open(
+        &self,
+        nonce: &Nonce,
+        message: &mut Plaintext,
+        tag: &PackageTag,
+    ) -> Result<(), CipherError>;
 }
 
 /// AES-128-GCM (NIST SP 800-38D) in software, with a 96-bit nonce and a 64-bit tag.
@@ -71,7 +76,7 @@ impl Cipher for AesGcm {
         Self(KeyInit::new(key.into()))
     }
 
-    fn seal(&self, nonce: &Nonce, message: &mut Message) -> Result<Tag, CipherError> {
+    fn seal(&self, nonce: &Nonce, message: &mut Plaintext) -> Result<PackageTag, CipherError> {
         let nonce: &GcmNonce<U12> = nonce.into();
         let sealed = self
             .0
@@ -79,7 +84,12 @@ impl Cipher for AesGcm {
         sealed.map(Into::into).map_err(|_| CipherError)
     }
 
-    fn open(&self, nonce: &Nonce, message: &mut Message, tag: &Tag) -> Result<(), CipherError> {
+    fn open(
+        &self,
+        nonce: &Nonce,
+        message: &mut Plaintext,
+        tag: &PackageTag,
+    ) -> Result<(), CipherError> {
         let (nonce, tag): (&GcmNonce<U12>, &GcmTag<U8>) = (nonce.into(), tag.into());
         self.0
             .decrypt_inout_detached(nonce, &[], message.as_mut_slice().into(), tag)

@@ -12,7 +12,7 @@ use crate::hx;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum KeyError {
+pub enum SealingKeyError {
     /// Not 16 bytes, but this many.
     WrongLength(usize),
     /// All bytes are zero: what memory that was never written reads as.
@@ -27,17 +27,17 @@ pub enum KeyError {
 #[non_exhaustive]
 pub enum PermitError {
     /// The key is none.
-    Key(KeyError),
+    Key(SealingKeyError),
     /// A key that nobody seals with.
     NoSender,
     /// This sender is permitted twice, or has been before.
-    Twice(SenderId),
+    DuplicateSender(SenderId),
     /// There are more senders than rows.
     TableFull,
 }
 
-impl From<KeyError> for PermitError {
-    fn from(error: KeyError) -> Self {
+impl From<SealingKeyError> for PermitError {
+    fn from(error: SealingKeyError) -> Self {
         Self::Key(error)
     }
 }
@@ -58,8 +58,8 @@ pub enum SealError {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochError;
 
-/// Why a received package is refused. The receiver remembers nothing of it but, for
-/// [`BadTag`](Self::BadTag), that one more was refused.
+/// Why a received package is rejected. The receiver remembers nothing of it but, for
+/// [`BadTag`](Self::BadTag), that one more was rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -81,17 +81,17 @@ pub enum OpenError {
     /// The same of a package with an epoch.
     StaleInEpoch {
         /// Epoch and counter that the package claims.
-        place: EpochCounter,
+        sequence: EpochCounter,
         /// Those of the last package accepted of that sender.
         last: EpochCounter,
     },
     /// So many packages with a wrong tag have come that no further one is tried before the next start.
-    KeyWornOut,
+    IntegrityLimitReached,
     /// Another key or salt, damage on the way, or a forgery.
     BadTag,
 }
 
-/// Why a packet is not packed. The caller is at fault; nothing has changed but the count of refusals.
+/// Why a packet is not packed. The caller is at fault; nothing has changed but the count of rejections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -102,7 +102,7 @@ pub enum PackError {
     /// The bytes do not begin with a whole packet of MAVLink 1 or 2.
     Parse(ParseError),
     /// A packet of MAVLink 2, for a vehicle that knows none and would lose what is behind it.
-    OldVehicle,
+    LegacyVehicle,
     /// More bytes than the packet in front of them: this many.
     Trailing(usize),
 }
@@ -139,9 +139,9 @@ pub enum DecodeError {
     /// More than 100 bytes.
     TooLong,
     /// It ends between an escape and the byte that was escaped.
-    CutEscape,
+    TruncatedEscape,
     /// Neither air data nor radio data, but this.
-    UnknownTag(u8),
+    UnknownKind(u8),
 }
 
 /// Why bytes of a radio are not the status that was asked for. They may be another answer of it: text.
@@ -153,7 +153,7 @@ pub enum RadioError {
     NoStatus(usize),
 }
 
-impl fmt::Display for KeyError {
+impl fmt::Display for SealingKeyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::WrongLength(length) => {
@@ -170,7 +170,7 @@ impl fmt::Display for PermitError {
         match self {
             Self::Key(error) => error.fmt(f),
             Self::NoSender => f.write_str("a key without a sender"),
-            Self::Twice(sender) => write!(f, "sender {sender} is permitted twice"),
+            Self::DuplicateSender(sender) => write!(f, "sender {sender} is permitted twice"),
             Self::TableFull => f.write_str("the table of senders is full"),
         }
     }
@@ -206,11 +206,11 @@ impl fmt::Display for OpenError {
                 f,
                 "counter {counter} is not newer than {last}, the last accepted"
             ),
-            Self::StaleInEpoch { place, last } => write!(
+            Self::StaleInEpoch { sequence, last } => write!(
                 f,
-                "counter {place} is not newer than {last}, the last accepted"
+                "counter {sequence} is not newer than {last}, the last accepted"
             ),
-            Self::KeyWornOut => f.write_str("too many wrong tags: the key is worn out"),
+            Self::IntegrityLimitReached => f.write_str("too many wrong tags: the key is worn out"),
             Self::BadTag => f.write_str("bad tag: another key or a forgery"),
         }
     }
@@ -223,7 +223,7 @@ impl fmt::Display for PackError {
                 write!(f, "a packet of {length} bytes does not fit into a message")
             }
             Self::Parse(error) => error.fmt(f),
-            Self::OldVehicle => f.write_str("a MAVLink 2 packet for a vehicle of MAVLink 1"),
+            Self::LegacyVehicle => f.write_str("a MAVLink 2 packet for a vehicle of MAVLink 1"),
             Self::Trailing(length) => write!(f, "{length} bytes behind the packet"),
         }
     }
@@ -254,8 +254,8 @@ impl fmt::Display for DecodeError {
         match self {
             Self::Empty => f.write_str("an empty frame"),
             Self::TooLong => write!(f, "a frame of more than {} bytes", hx::MAX_PAYLOAD_SIZE),
-            Self::CutEscape => f.write_str("a frame that ends in an escape"),
-            Self::UnknownTag(tag) => write!(f, "a frame with the unknown tag {tag:#04X}"),
+            Self::TruncatedEscape => f.write_str("a frame that ends in an escape"),
+            Self::UnknownKind(tag) => write!(f, "a frame with the unknown tag {tag:#04X}"),
         }
     }
 }
@@ -268,7 +268,7 @@ impl fmt::Display for RadioError {
     }
 }
 
-impl core::error::Error for KeyError {}
+impl core::error::Error for SealingKeyError {}
 impl core::error::Error for SealError {}
 impl core::error::Error for EpochError {}
 impl core::error::Error for OpenError {}

@@ -12,14 +12,14 @@ pub const SENDER_ID_SIZE: usize = 4;
 /// Bytes of a counter.
 pub const COUNTER_SIZE: usize = 4;
 /// Bytes of the message in a package, sealed or not: 80.
-pub const MESSAGE_SIZE: usize = 80;
+pub const PLAINTEXT_SIZE: usize = 80;
 /// Bytes of the tag that ends a package: the first half of the cipher's.
 pub const TAG_SIZE: usize = 8;
 
 /// Bytes before the sealed message: 8.
 pub const HEADER_SIZE: usize = SENDER_ID_SIZE + COUNTER_SIZE;
 /// Bytes of a package: 96.
-pub const PACKAGE_SIZE: usize = HEADER_SIZE + MESSAGE_SIZE + TAG_SIZE;
+pub const PACKAGE_SIZE: usize = HEADER_SIZE + PLAINTEXT_SIZE + TAG_SIZE;
 
 /// Bytes of a key: 16, for AES-128.
 pub const KEY_SIZE: usize = 16;

@@ -44,14 +44,14 @@ impl fmt::Display for EpochSenderId {
 /// What a package says of itself, unsealed but under the tag. The format that SMACCMPilot speaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Header {
+pub struct PackageHeader {
     /// Who sealed it.
     pub sender: SenderId,
     /// Its place among everything that this sender seals: 1 to 2^32 - 2.
     pub counter: u32,
 }
 
-impl Header {
+impl PackageHeader {
     /// The header in its 8 bytes on the wire, big-endian.
     #[must_use]
     pub const fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self {
@@ -86,7 +86,7 @@ impl Header {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochHeader {
     /// Its place among everything that this sender seals.
-    pub place: EpochCounter,
+    pub sequence: EpochCounter,
     /// Who sealed it.
     pub sender: EpochSenderId,
 }
@@ -97,7 +97,7 @@ impl EpochHeader {
     pub const fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self {
         let [a, b, c, d, e, f, g, h] = *wire;
         Self {
-            place: EpochCounter {
+            sequence: EpochCounter {
                 epoch: u16::from_be_bytes([e, f]),
                 counter: u32::from_be_bytes([a, b, c, d]),
             },
@@ -108,8 +108,8 @@ impl EpochHeader {
     /// Its 8 bytes on the wire, big-endian.
     #[must_use]
     pub const fn to_wire(self) -> [u8; HEADER_SIZE] {
-        let [a, b, c, d] = self.place.counter.to_be_bytes();
-        let [e, f] = self.place.epoch.to_be_bytes();
+        let [a, b, c, d] = self.sequence.counter.to_be_bytes();
+        let [e, f] = self.sequence.epoch.to_be_bytes();
         let [g, h] = self.sender.0.to_be_bytes();
         [a, b, c, d, e, f, g, h]
     }
@@ -160,62 +160,62 @@ impl fmt::Display for EpochCounter {
 
 mod sealed {
     pub trait Sealed {}
-    impl Sealed for super::Header {}
+    impl Sealed for super::PackageHeader {}
     impl Sealed for super::EpochHeader {}
     impl Sealed for super::SenderId {}
     impl Sealed for super::EpochSenderId {}
 }
 
-/// The two headers there are, [`Header`] and [`EpochHeader`]. Both are 8 bytes of the nonce, so that a key
+/// The two headers there are, [`PackageHeader`] and [`EpochHeader`]. Both are 8 bytes of the nonce, so that a key
 /// belongs to one of them.
 pub trait HeaderFormat: Copy + Eq + fmt::Debug + sealed::Sealed {
     /// Who sealed a package.
-    type Id: Sender<Header = Self>;
+    type Id: Sender<PackageHeader = Self>;
     /// A package's place among everything that its sender seals: later ones are greater.
-    type Place: Copy + Ord + fmt::Debug;
+    type Sequence: Copy + Ord + fmt::Debug;
     /// Before the first place of all.
-    const BEFORE_ALL: Self::Place;
+    const ZERO: Self::Sequence;
 
     /// The header of a package.
-    fn of(sender: Self::Id, place: Self::Place) -> Self;
+    fn new(sender: Self::Id, sequence: Self::Sequence) -> Self;
     /// Who sealed it.
     fn sender(self) -> Self::Id;
     /// Its place.
-    fn place(self) -> Self::Place;
+    fn sequence(self) -> Self::Sequence;
     /// The counter in a place.
-    fn counter(place: Self::Place) -> u32;
+    fn counter(sequence: Self::Sequence) -> u32;
     /// The place with the next counter.
-    fn after(place: Self::Place) -> Self::Place;
+    fn next(sequence: Self::Sequence) -> Self::Sequence;
     /// The header in its 8 bytes on the wire.
-    fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self;
+    fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self;
     /// Its 8 bytes on the wire.
-    fn wire(self) -> [u8; HEADER_SIZE];
+    fn to_wire(self) -> [u8; HEADER_SIZE];
     /// Whether its place is behind all that a sender uses.
-    fn is_end(self) -> bool;
+    fn is_exhausted(self) -> bool;
     /// That its place is not after `last`.
-    fn stale(self, last: Self::Place) -> OpenError;
+    fn stale(self, last: Self::Sequence) -> OpenError;
 }
 
 /// An id, whose type says which header it stands in.
 pub trait Sender: Copy + Eq + fmt::Debug + Into<SenderId> + sealed::Sealed {
     /// That header.
-    type Header: HeaderFormat<Id = Self>;
+    type PackageHeader: HeaderFormat<Id = Self>;
 }
 
 impl Sender for SenderId {
-    type Header = Header;
+    type PackageHeader = PackageHeader;
 }
 
 impl Sender for EpochSenderId {
-    type Header = EpochHeader;
+    type PackageHeader = EpochHeader;
 }
 
-impl HeaderFormat for Header {
+impl HeaderFormat for PackageHeader {
     type Id = SenderId;
-    type Place = u32;
-    const BEFORE_ALL: u32 = 0;
+    type Sequence = u32;
+    const ZERO: u32 = 0;
 
-    fn of(sender: SenderId, counter: u32) -> Self {
+    fn new(sender: SenderId, counter: u32) -> Self {
         Self { sender, counter }
     }
 
@@ -223,27 +223,27 @@ impl HeaderFormat for Header {
         self.sender
     }
 
-    fn place(self) -> u32 {
+    fn sequence(self) -> u32 {
         self.counter
     }
 
-    fn counter(place: u32) -> u32 {
-        place
+    fn counter(sequence: u32) -> u32 {
+        sequence
     }
 
-    fn after(place: u32) -> u32 {
-        place.saturating_add(1)
+    fn next(sequence: u32) -> u32 {
+        sequence.saturating_add(1)
     }
 
-    fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self {
+    fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self {
         Self::from_wire(wire)
     }
 
-    fn wire(self) -> [u8; HEADER_SIZE] {
+    fn to_wire(self) -> [u8; HEADER_SIZE] {
         self.to_wire()
     }
 
-    fn is_end(self) -> bool {
+    fn is_exhausted(self) -> bool {
         self.counter == u32::MAX
     }
 
@@ -257,50 +257,50 @@ impl HeaderFormat for Header {
 
 impl HeaderFormat for EpochHeader {
     type Id = EpochSenderId;
-    type Place = EpochCounter;
-    const BEFORE_ALL: EpochCounter = EpochCounter {
+    type Sequence = EpochCounter;
+    const ZERO: EpochCounter = EpochCounter {
         epoch: 0,
         counter: 0,
     };
 
-    fn of(sender: EpochSenderId, place: EpochCounter) -> Self {
-        Self { place, sender }
+    fn new(sender: EpochSenderId, sequence: EpochCounter) -> Self {
+        Self { sequence, sender }
     }
 
     fn sender(self) -> EpochSenderId {
         self.sender
     }
 
-    fn place(self) -> EpochCounter {
-        self.place
+    fn sequence(self) -> EpochCounter {
+        self.sequence
     }
 
-    fn counter(place: EpochCounter) -> u32 {
-        place.counter
+    fn counter(sequence: EpochCounter) -> u32 {
+        sequence.counter
     }
 
-    fn after(place: EpochCounter) -> EpochCounter {
+    fn next(sequence: EpochCounter) -> EpochCounter {
         EpochCounter {
-            counter: place.counter.saturating_add(1),
-            ..place
+            counter: sequence.counter.saturating_add(1),
+            ..sequence
         }
     }
 
-    fn of_wire(wire: &[u8; HEADER_SIZE]) -> Self {
+    fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self {
         Self::from_wire(wire)
     }
 
-    fn wire(self) -> [u8; HEADER_SIZE] {
+    fn to_wire(self) -> [u8; HEADER_SIZE] {
         self.to_wire()
     }
 
-    fn is_end(self) -> bool {
-        self.place.counter == u32::MAX || self.place.epoch == u16::MAX
+    fn is_exhausted(self) -> bool {
+        self.sequence.counter == u32::MAX || self.sequence.epoch == u16::MAX
     }
 
     fn stale(self, last: EpochCounter) -> OpenError {
         OpenError::StaleInEpoch {
-            place: self.place,
+            sequence: self.sequence,
             last,
         }
     }

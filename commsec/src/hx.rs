@@ -24,7 +24,7 @@ use crate::field::PACKAGE_SIZE;
 use crate::package::Package;
 
 /// The byte that ends a frame, begins one, or does both.
-pub const BOUNDARY: u8 = 0x7E;
+pub const FLAG: u8 = 0x7E;
 /// The byte in front of an escaped one. Not HDLC's, which is 0x7D.
 pub const ESCAPE: u8 = 0x7C;
 /// The bit that is turned over in an escaped byte.
@@ -39,14 +39,14 @@ const _: () = assert!(PACKAGE_SIZE <= MAX_PAYLOAD_SIZE);
 /// What a frame carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Tag {
+pub enum FrameKind {
     /// 0, "air data": a package, which the radio sends on through the air.
     AirData,
     /// 1, "radio data": plain bytes between a host and its own radio, which never cross the air.
     Radio,
 }
 
-impl Tag {
+impl FrameKind {
     /// Its byte on the line.
     #[must_use]
     pub const fn to_wire(self) -> u8 {
@@ -69,7 +69,7 @@ impl Tag {
 /// again once it has been handed an empty frame of air data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
-    tag: Tag,
+    kind: FrameKind,
     payload: &'a [u8],
 }
 
@@ -80,18 +80,18 @@ impl<'a> Frame<'a> {
     /// # Errors
     ///
     /// [`FrameError::Empty`], [`FrameError::TooLong`].
-    pub const fn new(tag: Tag, payload: &'a [u8]) -> Result<Self, FrameError> {
+    pub const fn new(kind: FrameKind, payload: &'a [u8]) -> Result<Self, FrameError> {
         match payload.len() {
             0 => Err(FrameError::Empty),
-            1..=MAX_PAYLOAD_SIZE => Ok(Self { tag, payload }),
+            1..=MAX_PAYLOAD_SIZE => Ok(Self { kind, payload }),
             length => Err(FrameError::TooLong(length)),
         }
     }
 
     /// What it carries.
     #[must_use]
-    pub const fn tag(&self) -> Tag {
-        self.tag
+    pub const fn kind(&self) -> FrameKind {
+        self.kind
     }
 
     /// Its 1 to 100 bytes, not escaped. As received, air data need not be a package.
@@ -104,7 +104,7 @@ impl<'a> Frame<'a> {
     #[must_use]
     pub fn encode(&self) -> Encode<'a> {
         Encode {
-            next: Next::Begin(self.tag),
+            next: Next::Begin(self.kind),
             payload: self.payload.iter(),
         }
     }
@@ -114,7 +114,7 @@ impl<'a> From<&'a Package> for Frame<'a> {
     /// The package as air data.
     fn from(package: &'a Package) -> Self {
         Self {
-            tag: Tag::AirData,
+            kind: FrameKind::AirData,
             payload: package.as_bytes(),
         }
     }
@@ -130,8 +130,8 @@ pub struct Encode<'a> {
 /// What comes next out of [`Encode`].
 #[derive(Clone, Copy, Debug)]
 enum Next {
-    Begin(Tag),
-    Tag(Tag),
+    Begin(FrameKind),
+    FrameKind(FrameKind),
     Payload,
     /// This byte, behind its escape.
     Escaped(u8),
@@ -143,12 +143,12 @@ impl Iterator for Encode<'_> {
 
     fn next(&mut self) -> Option<u8> {
         let (byte, next) = match self.next {
-            Next::Begin(tag) => (BOUNDARY, Next::Tag(tag)),
-            Next::Tag(tag) => (tag.to_wire(), Next::Payload),
+            Next::Begin(kind) => (FLAG, Next::FrameKind(kind)),
+            Next::FrameKind(kind) => (kind.to_wire(), Next::Payload),
             Next::Payload => match self.payload.next() {
-                Some(byte @ (&BOUNDARY | &ESCAPE)) => (ESCAPE, Next::Escaped(byte ^ ESCAPE_BIT)),
+                Some(byte @ (&FLAG | &ESCAPE)) => (ESCAPE, Next::Escaped(byte ^ ESCAPE_BIT)),
                 Some(byte) => (*byte, Next::Payload),
-                None => (BOUNDARY, Next::Nothing),
+                None => (FLAG, Next::Nothing),
             },
             Next::Escaped(byte) => (byte, Next::Payload),
             Next::Nothing => return None,
@@ -167,11 +167,11 @@ enum State {
     /// Before a boundary: nothing is known.
     Idle,
     /// Behind a boundary.
-    Tag,
+    FrameKind,
     /// Within a payload.
-    Payload(Tag),
+    Payload(FrameKind),
     /// Within a payload, behind an escape.
-    Escape(Tag),
+    Escape(FrameKind),
 }
 
 /// Finds frames in a stream of bytes, one byte at a time.
@@ -182,10 +182,10 @@ enum State {
 /// is one.
 ///
 /// ```
-/// use mavlink_commsec::hx::{Decoder, Frame, Tag};
+/// use mavlink_commsec::hx::{Decoder, Frame, FrameKind};
 ///
 /// let mut decoder = Decoder::new();
-/// let frame = Frame::new(Tag::Radio, b"B\r")?;
+/// let frame = Frame::new(FrameKind::Radio, b"B\r")?;
 /// let mut received = 0;
 /// for byte in frame.encode() {
 ///     if let Some(decoded) = decoder.push(byte) {
@@ -216,48 +216,48 @@ impl Decoder {
     ///
     /// # Errors
     ///
-    /// [`DecodeError::Empty`] and [`DecodeError::CutEscape`] with the boundary that ends such a frame;
-    /// [`DecodeError::UnknownTag`] and [`DecodeError::TooLong`] with the byte that is wrong, once: what
+    /// [`DecodeError::Empty`] and [`DecodeError::TruncatedEscape`] with the boundary that ends such a frame;
+    /// [`DecodeError::UnknownKind`] and [`DecodeError::TooLong`] with the byte that is wrong, once: what
     /// follows up to the next boundary is passed over.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, DecodeError>> {
         match (self.state, byte) {
-            (State::Idle | State::Tag, BOUNDARY) => {
-                self.state = State::Tag;
+            (State::Idle | State::FrameKind, FLAG) => {
+                self.state = State::FrameKind;
                 None
             }
             (State::Idle, _) => None,
-            (State::Tag, _) => match Tag::from_wire(byte) {
-                Some(tag) => {
+            (State::FrameKind, _) => match FrameKind::from_wire(byte) {
+                Some(kind) => {
                     self.payload.clear();
-                    self.state = State::Payload(tag);
+                    self.state = State::Payload(kind);
                     None
                 }
                 None => {
                     self.state = State::Idle;
-                    Some(Err(DecodeError::UnknownTag(byte)))
+                    Some(Err(DecodeError::UnknownKind(byte)))
                 }
             },
-            (State::Payload(tag), BOUNDARY) => {
-                self.state = State::Tag;
-                let frame = Frame::new(tag, &self.payload);
+            (State::Payload(kind), FLAG) => {
+                self.state = State::FrameKind;
+                let frame = Frame::new(kind, &self.payload);
                 Some(frame.map_err(|_| DecodeError::Empty))
             }
-            (State::Escape(_), BOUNDARY) => {
-                self.state = State::Tag;
-                Some(Err(DecodeError::CutEscape))
+            (State::Escape(_), FLAG) => {
+                self.state = State::FrameKind;
+                Some(Err(DecodeError::TruncatedEscape))
             }
-            (State::Payload(tag), ESCAPE) => {
-                self.state = State::Escape(tag);
+            (State::Payload(kind), ESCAPE) => {
+                self.state = State::Escape(kind);
                 None
             }
-            (State::Payload(tag), _) => self.append(tag, byte),
-            (State::Escape(tag), _) => self.append(tag, byte ^ ESCAPE_BIT),
+            (State::Payload(kind), _) => self.append(kind, byte),
+            (State::Escape(kind), _) => self.append(kind, byte ^ ESCAPE_BIT),
         }
     }
 
-    fn append(&mut self, tag: Tag, byte: u8) -> Option<Result<Frame<'_>, DecodeError>> {
+    fn append(&mut self, kind: FrameKind, byte: u8) -> Option<Result<Frame<'_>, DecodeError>> {
         if self.payload.push(byte).is_ok() {
-            self.state = State::Payload(tag);
+            self.state = State::Payload(kind);
             return None;
         }
         self.state = State::Idle;
@@ -268,16 +268,16 @@ impl Decoder {
     #[cfg(kani)]
     #[must_use]
     pub fn any() -> Self {
-        let tag = if kani::any() {
-            Tag::AirData
+        let kind = if kani::any() {
+            FrameKind::AirData
         } else {
-            Tag::Radio
+            FrameKind::Radio
         };
         let state = match kani::any() {
             0_u8 => State::Idle,
-            1 => State::Tag,
-            2 => State::Payload(tag),
-            _ => State::Escape(tag),
+            1 => State::FrameKind,
+            2 => State::Payload(kind),
+            _ => State::Escape(kind),
         };
         let mut payload = Vec::from_array(kani::any::<[u8; MAX_PAYLOAD_SIZE]>());
         let length = kani::any();

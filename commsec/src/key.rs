@@ -5,10 +5,10 @@ use core::marker::PhantomData;
 
 use zeroize::Zeroizing;
 
-use crate::cipher::{AesGcm, Cipher, CipherError, Message, Nonce, Tag};
-use crate::error::KeyError;
+use crate::cipher::{AesGcm, Cipher, CipherError, Nonce, PackageTag, Plaintext};
+use crate::error::SealingKeyError;
 use crate::field::{KEY_SIZE, SALT_SIZE};
-use crate::header::{Header, HeaderFormat, Sender, SenderId};
+use crate::header::{HeaderFormat, PackageHeader, Sender, SenderId};
 
 /// A key and its salt, prepared for use.
 ///
@@ -18,31 +18,31 @@ use crate::header::{Header, HeaderFormat, Sender, SenderId};
 ///
 /// There is no way to read them back, [`Debug`] does not show them, and they are not copied. Their
 /// memory is wiped when they are dropped; what their preparation leaves on the stack is not.
-pub struct Key<C = AesGcm, H = Header> {
+pub struct SealingKey<C = AesGcm, H = PackageHeader> {
     cipher: C,
     salt: Zeroizing<[u8; SALT_SIZE]>,
     header: PhantomData<H>,
 }
 
-impl<C: Cipher, H: HeaderFormat> Key<C, H> {
+impl<C: Cipher, H: HeaderFormat> SealingKey<C, H> {
     /// The key in `bytes`, which should come from a random generator, and its salt.
     ///
     /// The caller wipes its own copies.
     ///
     /// # Errors
     ///
-    /// [`KeyError::WrongLength`] unless there are 16 bytes; [`KeyError::AllZero`] and [`KeyError::Erased`] for
+    /// [`SealingKeyError::WrongLength`] unless there are 16 bytes; [`SealingKeyError::AllZero`] and [`SealingKeyError::Erased`] for
     /// storage that nobody has written a key to.
-    pub fn new(bytes: &[u8], salt: u32) -> Result<Self, KeyError> {
+    pub fn new(bytes: &[u8], salt: u32) -> Result<Self, SealingKeyError> {
         let key: &[u8; KEY_SIZE] = bytes
             .try_into()
-            .map_err(|_| KeyError::WrongLength(bytes.len()))?;
+            .map_err(|_| SealingKeyError::WrongLength(bytes.len()))?;
         // Looks at every byte, so that time says nothing about where the first other one is.
         if key.iter().fold(0, |all, byte| all | byte) == 0 {
-            return Err(KeyError::AllZero);
+            return Err(SealingKeyError::AllZero);
         }
         if key.iter().fold(0xFF, |all, byte| all & byte) == 0xFF {
-            return Err(KeyError::Erased);
+            return Err(SealingKeyError::Erased);
         }
         Ok(Self {
             cipher: C::new(key),
@@ -51,15 +51,19 @@ impl<C: Cipher, H: HeaderFormat> Key<C, H> {
         })
     }
 
-    pub(crate) fn seal(&self, header: H, message: &mut Message) -> Result<Tag, CipherError> {
+    pub(crate) fn seal(
+        &self,
+        header: H,
+        message: &mut Plaintext,
+    ) -> Result<PackageTag, CipherError> {
         self.cipher.seal(&self.nonce(header), message)
     }
 
     pub(crate) fn open(
         &self,
         header: H,
-        message: &mut Message,
-        tag: &Tag,
+        message: &mut Plaintext,
+        tag: &PackageTag,
     ) -> Result<(), CipherError> {
         self.cipher.open(&self.nonce(header), message, tag)
     }
@@ -68,12 +72,12 @@ impl<C: Cipher, H: HeaderFormat> Key<C, H> {
     /// associated data.
     fn nonce(&self, header: H) -> Zeroizing<Nonce> {
         let [a, b, c, d] = *self.salt;
-        let [e, f, g, h, i, j, k, l] = header.wire();
+        let [e, f, g, h, i, j, k, l] = header.to_wire();
         Zeroizing::new([a, b, c, d, e, f, g, h, i, j, k, l])
     }
 }
 
-impl<C, H> fmt::Debug for Key<C, H> {
+impl<C, H> fmt::Debug for SealingKey<C, H> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Key(redacted)")
     }
@@ -100,9 +104,9 @@ impl<I: Sender> Credential<I> {
     ///
     /// # Errors
     ///
-    /// [`KeyError::AllZero`], [`KeyError::Erased`].
-    pub fn prepare<C: Cipher>(&self) -> Result<Key<C, I::Header>, KeyError> {
-        Key::new(&self.key, self.salt)
+    /// [`SealingKeyError::AllZero`], [`SealingKeyError::Erased`].
+    pub fn prepare<C: Cipher>(&self) -> Result<SealingKey<C, I::PackageHeader>, SealingKeyError> {
+        SealingKey::new(&self.key, self.salt)
     }
 
     /// Whether two senders seal with one key and salt.

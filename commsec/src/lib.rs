@@ -27,17 +27,17 @@ mod package;
 pub mod radio;
 mod seal;
 
-pub use cipher::{AesGcm, Cipher, CipherError, Message, Nonce, Tag};
+pub use cipher::{AesGcm, Cipher, CipherError, Nonce, PackageTag, Plaintext};
 pub use error::{
-    DecodeError, EpochError, FrameError, KeyError, OpenError, PackError, PermitError, RadioError,
-    SealError, UnpackError,
+    DecodeError, EpochError, FrameError, OpenError, PackError, PermitError, RadioError, SealError,
+    SealingKeyError, UnpackError,
 };
 pub use header::{
-    EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, Sender, SenderId,
+    EpochCounter, EpochHeader, EpochSenderId, HeaderFormat, PackageHeader, Sender, SenderId,
 };
-pub use key::{Credential, Key};
-pub use open::{FAILED_OPENS_LIMIT, Opened, Opener};
-pub use pack::{OLD_VEHICLE_SIZE, Packer, Packets, packets};
+pub use key::{Credential, SealingKey};
+pub use open::{INTEGRITY_LIMIT, Opened, Opener};
+pub use pack::{LEGACY_SIZE, Packer, Packets, packets};
 pub use package::Package;
 pub use seal::{FIRST_COUNTER, Sealer};
 /// What a [`Cipher`] promises: it wipes itself when it is dropped.

@@ -5,10 +5,10 @@ use core::fmt;
 use heapless::Vec;
 use zeroize::Zeroizing;
 
-use crate::cipher::{AesGcm, Cipher, Message};
+use crate::cipher::{AesGcm, Cipher, Plaintext};
 use crate::error::{OpenError, PermitError};
-use crate::header::{Header, HeaderFormat};
-use crate::key::{Credential, Key};
+use crate::header::{HeaderFormat, PackageHeader};
+use crate::key::{Credential, SealingKey};
 use crate::pack::Packets;
 use crate::package::Parts;
 
@@ -23,16 +23,16 @@ use crate::package::Parts;
 /// It is also how somebody without a key ends a link until the restart: three days at 57,600 baud, which carry
 /// 58 packages a second, but minutes on a fast network if the processor keeps up. There choose between a
 /// greater limit and a shorter life of keys; [`Opener::failed_opens`] tells long before.
-pub const FAILED_OPENS_LIMIT: u32 = 1 << 24;
+pub const INTEGRITY_LIMIT: u32 = 1 << 24;
 
 /// A package that was sealed with the key of a permitted sender, and is newer than all accepted of
 /// him before.
 ///
 /// Made by [`Opener::open`] alone and not copied, so that it is acted on once. The message is wiped when
 /// it is dropped; what a move leaves of it on the stack is not.
-pub struct Opened<H = Header> {
+pub struct Opened<H = PackageHeader> {
     header: H,
-    message: Zeroizing<Message>,
+    message: Zeroizing<Plaintext>,
 }
 
 impl<H: HeaderFormat> Opened<H> {
@@ -43,19 +43,19 @@ impl<H: HeaderFormat> Opened<H> {
 
     /// Its place among everything that this sender has sealed: the counter; with
     /// [`EpochHeader`](crate::EpochHeader) epoch and counter.
-    pub fn place(&self) -> H::Place {
-        self.header.place()
+    pub fn sequence(&self) -> H::Sequence {
+        self.header.sequence()
     }
 
     /// The counter, with [`EpochHeader`](crate::EpochHeader) in its epoch.
     #[must_use]
     pub fn counter(&self) -> u32 {
-        H::counter(self.place())
+        H::counter(self.sequence())
     }
 
     /// The message, 80 bytes.
     #[must_use]
-    pub fn message(&self) -> &Message {
+    pub fn plaintext(&self) -> &Plaintext {
         &self.message
     }
 
@@ -86,7 +86,7 @@ struct Row<I, P> {
 
 /// A key, and how many packages that claimed it had a wrong tag.
 struct Guarded<C, H> {
-    key: Key<C, H>,
+    key: SealingKey<C, H>,
     failed: u32,
 }
 
@@ -95,17 +95,17 @@ struct Guarded<C, H> {
 /// One for the whole device, however many lines it has. It is not copied: a copy would accept again what
 /// the original has accepted. Forgetting it does the same: see [`resume`](Self::resume). It remembers in
 /// memory alone; whoever acts on a message before a mark above it is stored may act again after a restart.
-pub struct Opener<const N: usize, C: Cipher = AesGcm, H: HeaderFormat = Header> {
+pub struct Opener<const N: usize, C: Cipher = AesGcm, H: HeaderFormat = PackageHeader> {
     keys: Vec<Guarded<C, H>, N>,
-    rows: Vec<Row<H::Id, H::Place>, N>,
+    rows: Vec<Row<H::Id, H::Sequence>, N>,
     limit: u32,
 }
 
 impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
-    /// A receiver that permits nobody yet, and gives a key up after [`FAILED_OPENS_LIMIT`] wrong tags.
+    /// A receiver that permits nobody yet, and gives a key up after [`INTEGRITY_LIMIT`] wrong tags.
     #[must_use]
     pub const fn new() -> Self {
-        Self::with_limit(FAILED_OPENS_LIMIT)
+        Self::with_limit(INTEGRITY_LIMIT)
     }
 
     /// A receiver that permits nobody yet, and gives a key up after `limit` wrong tags.
@@ -119,7 +119,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     }
 
     /// A receiver that permits everybody in `credentials`, each with the counter up to which everything
-    /// of his is refused: what `last` says, 0 (of epoch 0) for whoever has not been heard before.
+    /// of his is rejected: what `last` says, 0 (of epoch 0) for whoever has not been heard before.
     ///
     /// Those who have one key and salt have one count of wrong tags. Those who share a key and not its salt
     /// have one each, so that the key sees as many times the limit.
@@ -127,9 +127,9 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// # Errors
     ///
     /// [`PermitError`].
-    pub fn of(
+    pub fn from_credentials(
         credentials: &[Credential<H::Id>],
-        last: impl Fn(H::Id) -> H::Place,
+        last: impl Fn(H::Id) -> H::Sequence,
     ) -> Result<Self, PermitError> {
         let mut opener = Self::new();
         for (at, credential) in credentials.iter().enumerate() {
@@ -154,14 +154,14 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// # Errors
     ///
     /// [`PermitError`]; nobody is permitted then.
-    pub fn permit(&mut self, key: Key<C, H>, senders: &[H::Id]) -> Result<(), PermitError> {
-        self.add(key, senders.iter().map(|sender| (*sender, H::BEFORE_ALL)))
+    pub fn permit(&mut self, key: SealingKey<C, H>, senders: &[H::Id]) -> Result<(), PermitError> {
+        self.add(key, senders.iter().map(|sender| (*sender, H::ZERO)))
     }
 
     /// Permits `senders`, all of whom seal with `key`, each with the counter up to which everything of
-    /// his is refused: for a receiver that kept marks over a restart.
+    /// his is rejected: for a receiver that kept marks over a restart.
     ///
-    /// It is the last one refused: one less than a mark above all that was accepted. A mark stored ahead
+    /// It is the last one rejected: one less than a mark above all that was accepted. A mark stored ahead
     /// costs as many genuine packages after a restart.
     ///
     /// # Errors
@@ -169,16 +169,16 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// As [`permit`](Self::permit).
     pub fn resume(
         &mut self,
-        key: Key<C, H>,
-        senders: &[(H::Id, H::Place)],
+        key: SealingKey<C, H>,
+        senders: &[(H::Id, H::Sequence)],
     ) -> Result<(), PermitError> {
         self.add(key, senders.iter().copied())
     }
 
     fn add(
         &mut self,
-        key: Key<C, H>,
-        senders: impl Iterator<Item = (H::Id, H::Place)> + Clone,
+        key: SealingKey<C, H>,
+        senders: impl Iterator<Item = (H::Id, H::Sequence)> + Clone,
     ) -> Result<(), PermitError> {
         let count = senders.clone().count();
         if count == 0 {
@@ -188,7 +188,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
             let mut before = senders.clone().take(at);
             let twice = before.any(|(other, _)| other == sender);
             if twice || self.row(sender).is_some() {
-                return Err(PermitError::Twice(sender.into()));
+                return Err(PermitError::DuplicateSender(sender.into()));
             }
         }
         if count > N.saturating_sub(self.rows.len()) {
@@ -207,8 +207,8 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         Ok(())
     }
 
-    /// Every permitted sender, and the counter up to which everything of his is refused.
-    pub fn senders(&self) -> impl Iterator<Item = (H::Id, H::Place)> {
+    /// Every permitted sender, and the counter up to which everything of his is rejected.
+    pub fn senders(&self) -> impl Iterator<Item = (H::Id, H::Sequence)> {
         self.rows.iter().map(|row| (row.sender, row.last))
     }
 
@@ -223,12 +223,12 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
     /// Opens `package` if it has 96 bytes, its sender is permitted, it is newer than all accepted of him
     /// before, and its tag is right; then remembers it.
     ///
-    /// Any jump forward is accepted, so that any loss is survived; what comes late is refused.
+    /// Any jump forward is accepted, so that any loss is survived; what comes late is rejected.
     ///
     /// # Errors
     ///
     /// [`OpenError::WrongLength`], [`OpenError::UnknownSender`], [`OpenError::NoCounter`],
-    /// [`OpenError::Stale`] or [`OpenError::StaleInEpoch`], [`OpenError::KeyWornOut`], [`OpenError::BadTag`],
+    /// [`OpenError::Stale`] or [`OpenError::StaleInEpoch`], [`OpenError::IntegrityLimitReached`], [`OpenError::BadTag`],
     /// looked for in this order, which is SMACCMPilot's. Nothing has changed then, except that a wrong tag is
     /// counted.
     pub fn open(&mut self, package: &[u8]) -> Result<Opened<H>, OpenError> {
@@ -236,20 +236,20 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
             header,
             sealed,
             tag,
-        } = Parts::<H>::of(package)?;
+        } = Parts::<H>::parse(package)?;
         let unknown = OpenError::UnknownSender(header.sender().into());
         let mut rows = self.rows.iter_mut();
         let row = rows.find(|row| row.sender == header.sender());
         let row = row.ok_or(unknown)?;
-        if header.is_end() {
+        if header.is_exhausted() {
             return Err(OpenError::NoCounter(header.sender().into()));
         }
-        if header.place() <= row.last {
+        if header.sequence() <= row.last {
             return Err(header.stale(row.last));
         }
         let Guarded { key, failed } = self.keys.get_mut(row.key).ok_or(unknown)?;
         if *failed >= self.limit {
-            return Err(OpenError::KeyWornOut);
+            return Err(OpenError::IntegrityLimitReached);
         }
         // Wiped on every way out: a cipher may decrypt before it has looked at the tag.
         let mut message = Zeroizing::new(*sealed);
@@ -257,26 +257,26 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
             *failed = failed.saturating_add(1);
             return Err(OpenError::BadTag);
         }
-        row.last = header.place();
+        row.last = header.sequence();
         Ok(Opened { header, message })
     }
 
-    fn row(&self, sender: H::Id) -> Option<&Row<H::Id, H::Place>> {
+    fn row(&self, sender: H::Id) -> Option<&Row<H::Id, H::Sequence>> {
         self.rows.iter().find(|row| row.sender == sender)
     }
 
     /// For proofs: with one key more, and the wrong tags counted for it.
     #[cfg(kani)]
     #[must_use]
-    pub fn with_key(mut self, key: Key<C, H>, failed: u32) -> Self {
+    pub fn with_key(mut self, key: SealingKey<C, H>, failed: u32) -> Self {
         core::mem::forget(self.keys.push(Guarded { key, failed }));
         self
     }
 
-    /// For proofs: with one sender more, which of the keys is his, and what he is refused up to.
+    /// For proofs: with one sender more, which of the keys is his, and what he is rejected up to.
     #[cfg(kani)]
     #[must_use]
-    pub fn with_sender(mut self, sender: H::Id, key: usize, last: H::Place) -> Self {
+    pub fn with_sender(mut self, sender: H::Id, key: usize, last: H::Sequence) -> Self {
         let _ = self.rows.push(Row { sender, key, last });
         self
     }

@@ -8,12 +8,12 @@ use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE_V1, MAGIC_V1};
 use mavlink_signing::{FrameRef, MessageId, ParseError};
 use zeroize::Zeroize as _;
 
-use crate::cipher::Message;
+use crate::cipher::Plaintext;
 use crate::error::{PackError, UnpackError};
-use crate::field::MESSAGE_SIZE;
+use crate::field::PLAINTEXT_SIZE;
 
 /// Bytes that old SMACCMPilot vehicles look at: they lose the last 8 of a message.
-pub const OLD_VEHICLE_SIZE: usize = 72;
+pub const LEGACY_SIZE: usize = 72;
 
 /// HEARTBEAT, which makes a message leave.
 const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
@@ -22,7 +22,7 @@ const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
 ///
 /// A packet is never split and never changed; packets leave in the order in which they came. Nobody
 /// says how many there are: behind the last, the message is filled with zeros. A packet that does not
-/// fit into any message is refused and counted, never dropped in silence.
+/// fit into any message is rejected and counted, never dropped in silence.
 ///
 /// ```
 /// use core::time::Duration;
@@ -36,40 +36,40 @@ const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
 /// # Ok::<(), Box<dyn core::error::Error>>(())
 /// ```
 pub struct Packer {
-    pending: Vec<u8, MESSAGE_SIZE>,
+    pending: Vec<u8, PLAINTEXT_SIZE>,
     /// Bytes of a message that packets may lie in.
     size: usize,
     /// When the first pending packet came.
     since: Duration,
-    patience: Duration,
+    max_delay: Duration,
     /// A HEARTBEAT is pending.
     due: bool,
-    refused: u32,
+    rejected: u32,
 }
 
 impl Packer {
-    /// A packer that fills all 80 bytes, and has them sealed when the first has waited for `patience`: see
+    /// A packer that fills all 80 bytes, and has them sealed when the first has waited for `maximum delay`: see
     /// [`poll`](Self::poll).
     #[must_use]
-    pub const fn new(patience: Duration) -> Self {
-        Self::of_size(MESSAGE_SIZE, patience)
+    pub const fn new(max_delay: Duration) -> Self {
+        Self::of_size(PLAINTEXT_SIZE, max_delay)
     }
 
     /// The same for a vehicle with SMACCMPilot's own firmware, which loses what lies behind the first
-    /// [`OLD_VEHICLE_SIZE`] bytes of a message, which stay zero, and knows no MAVLink 2, which is refused.
+    /// [`LEGACY_SIZE`] bytes of a message, which stay zero, and knows no MAVLink 2, which is rejected.
     #[must_use]
-    pub const fn for_old_vehicles(patience: Duration) -> Self {
-        Self::of_size(OLD_VEHICLE_SIZE, patience)
+    pub const fn legacy(max_delay: Duration) -> Self {
+        Self::of_size(LEGACY_SIZE, max_delay)
     }
 
-    const fn of_size(size: usize, patience: Duration) -> Self {
+    const fn of_size(size: usize, max_delay: Duration) -> Self {
         Self {
             pending: Vec::new(),
             size,
             since: Duration::ZERO,
-            patience,
+            max_delay,
             due: false,
-            refused: 0,
+            rejected: 0,
         }
     }
 
@@ -82,11 +82,11 @@ impl Packer {
     /// # Errors
     ///
     /// [`PackError::Parse`], [`PackError::Trailing`]: not one whole packet. [`PackError::TooLong`],
-    /// [`PackError::OldVehicle`]: the packet goes into no message. Refused packets are counted; what is
+    /// [`PackError::LegacyVehicle`]: the packet goes into no message. Rejected packets are counted; what is
     /// pending stays.
-    pub fn push(&mut self, packet: &[u8], now: Duration) -> Result<Option<Message>, PackError> {
+    pub fn push(&mut self, packet: &[u8], now: Duration) -> Result<Option<Plaintext>, PackError> {
         let id = self.check(packet).inspect_err(|_| {
-            self.refused = self.refused.saturating_add(1);
+            self.rejected = self.rejected.saturating_add(1);
         })?;
         let full = packet.len() > self.size.saturating_sub(self.pending.len());
         let message = if full { self.flush() } else { None };
@@ -101,8 +101,8 @@ impl Packer {
 
     fn check(&self, packet: &[u8]) -> Result<MessageId, PackError> {
         let (first, id) = first_packet(packet).map_err(PackError::Parse)?;
-        if self.size == OLD_VEHICLE_SIZE && first.first() != Some(&MAGIC_V1) {
-            return Err(PackError::OldVehicle);
+        if self.size == LEGACY_SIZE && first.first() != Some(&MAGIC_V1) {
+            return Err(PackError::LegacyVehicle);
         }
         match packet.len() - first.len() {
             0 if first.len() > self.size => Err(PackError::TooLong(first.len())),
@@ -114,9 +114,9 @@ impl Packer {
     /// The message that is to be sealed now, if there is one: it holds a HEARTBEAT, or its first packet
     /// has waited long enough.
     ///
-    /// Called at least once in each span of patience, it bounds every packet's wait to two of them.
-    pub fn poll(&mut self, now: Duration) -> Option<Message> {
-        if self.due || now.saturating_sub(self.since) >= self.patience {
+    /// Called at least once in each span of maximum delay, it bounds every packet's wait to two of them.
+    pub fn poll(&mut self, now: Duration) -> Option<Plaintext> {
+        if self.due || now.saturating_sub(self.since) >= self.max_delay {
             self.flush()
         } else {
             None
@@ -124,11 +124,11 @@ impl Packer {
     }
 
     /// What is pending, whatever it is; `None` if that is nothing.
-    pub fn flush(&mut self) -> Option<Message> {
+    pub fn flush(&mut self) -> Option<Plaintext> {
         if self.pending.is_empty() {
             return None;
         }
-        let mut message = [0; MESSAGE_SIZE];
+        let mut message = [0; PLAINTEXT_SIZE];
         for (slot, byte) in message.iter_mut().zip(&self.pending) {
             *slot = *byte;
         }
@@ -138,10 +138,10 @@ impl Packer {
         Some(message)
     }
 
-    /// How many packets were refused, since the start; stays at the top of its range.
+    /// How many packets were rejected, since the start; stays at the top of its range.
     #[must_use]
-    pub const fn refused(&self) -> u32 {
-        self.refused
+    pub const fn rejected(&self) -> u32 {
+        self.rejected
     }
 }
 
@@ -150,7 +150,7 @@ impl fmt::Debug for Packer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Packer")
             .field("pending", &self.pending.len())
-            .field("refused", &self.refused)
+            .field("rejected", &self.rejected)
             .finish_non_exhaustive()
     }
 }
@@ -163,7 +163,7 @@ impl Drop for Packer {
 
 /// The packets in a message, in order.
 #[must_use]
-pub const fn packets(message: &Message) -> Packets<'_> {
+pub const fn packets(message: &Plaintext) -> Packets<'_> {
     Packets::new(message)
 }
 
@@ -186,7 +186,7 @@ impl fmt::Debug for Packets<'_> {
 }
 
 impl<'a> Packets<'a> {
-    pub(crate) const fn new(message: &'a Message) -> Self {
+    pub(crate) const fn new(message: &'a Plaintext) -> Self {
         Self { rest: message }
     }
 }
@@ -206,7 +206,7 @@ impl<'a> Iterator for Packets<'a> {
             self.rest = rest.get(packet.len()..).unwrap_or_default();
         }
         Some(found.map_err(|fault| UnpackError {
-            offset: MESSAGE_SIZE - rest.len(),
+            offset: PLAINTEXT_SIZE - rest.len(),
             fault,
         }))
     }

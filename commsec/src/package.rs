@@ -1,6 +1,6 @@
 //! A package: 96 bytes, of which the first 8 say who sealed it and when in his order.
 
-use crate::cipher::{Message, Tag};
+use crate::cipher::{PackageTag, Plaintext};
 use crate::error::OpenError;
 use crate::field::PACKAGE_SIZE;
 use crate::header::HeaderFormat;
@@ -12,9 +12,9 @@ use crate::header::HeaderFormat;
 pub struct Package([u8; PACKAGE_SIZE]);
 
 impl Package {
-    pub(crate) fn new(header: impl HeaderFormat, sealed: &Message, tag: &Tag) -> Self {
+    pub(crate) fn new(header: impl HeaderFormat, sealed: &Plaintext, tag: &PackageTag) -> Self {
         let mut bytes = [0; PACKAGE_SIZE];
-        let header = header.wire();
+        let header = header.to_wire();
         let parts = header.iter().chain(sealed).chain(tag);
         for (slot, byte) in bytes.iter_mut().zip(parts) {
             *slot = *byte;
@@ -33,17 +33,17 @@ impl Package {
 #[derive(Clone, Copy)]
 pub(crate) struct Parts<'a, H> {
     pub(crate) header: H,
-    pub(crate) sealed: &'a Message,
-    pub(crate) tag: &'a Tag,
+    pub(crate) sealed: &'a Plaintext,
+    pub(crate) tag: &'a PackageTag,
 }
 
 impl<'a, H: HeaderFormat> Parts<'a, H> {
-    pub(crate) fn of(bytes: &'a [u8]) -> Result<Self, OpenError> {
+    pub(crate) fn parse(bytes: &'a [u8]) -> Result<Self, OpenError> {
         let parts = || {
             let (header, rest) = bytes.split_first_chunk()?;
             let (sealed, tag) = rest.split_first_chunk()?;
             Some(Self {
-                header: H::of_wire(header),
+                header: H::from_wire(header),
                 sealed,
                 tag: tag.try_into().ok()?,
             })

@@ -86,7 +86,7 @@ pub struct Status {
 /// What only an answer to [`Request::Debug`] has behind its [`Status`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Debug {
+pub struct DebugStatus {
     /// The largest window in which it sent; forgotten when it is read.
     pub largest_window: u8,
     /// Where frames from the air are put in, and taken out.
@@ -102,7 +102,7 @@ pub enum Answer {
     /// To [`Request::Status`].
     Status(Status),
     /// To [`Request::Debug`].
-    Debug(Status, self::Debug),
+    Debug(Status, DebugStatus),
 }
 
 impl Answer {
@@ -120,7 +120,7 @@ impl Answer {
         match (status.first()?, rest) {
             (b'B', []) => Some(Self::Status(Status::from_wire(status))),
             (b'D', &[largest_window, a, b, c, d]) => {
-                let debug = self::Debug {
+                let debug = DebugStatus {
                     largest_window,
                     tx_queue: [a, b],
                     rx_queue: [c, d],
@@ -195,7 +195,7 @@ impl Status {
 
     /// The answer to [`Request::Debug`], 30 bytes.
     #[must_use]
-    pub fn to_wire_with(&self, debug: &self::Debug) -> [u8; DEBUG_SIZE] {
+    pub fn to_wire_with(&self, debug: &DebugStatus) -> [u8; DEBUG_SIZE] {
         let [a, b] = debug.tx_queue;
         let [c, d] = debug.rx_queue;
         let status = self.answer(Request::Debug);

@@ -2,10 +2,12 @@
 
 use zeroize::Zeroizing;
 
-use crate::cipher::{AesGcm, Cipher, Message};
+use crate::cipher::{AesGcm, Cipher, Plaintext};
 use crate::error::{EpochError, SealError};
-use crate::header::{EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, SenderId};
-use crate::key::Key;
+use crate::header::{
+    EpochCounter, EpochHeader, EpochSenderId, HeaderFormat, PackageHeader, SenderId,
+};
+use crate::key::SealingKey;
 use crate::package::Package;
 
 /// The counter of the first package that is ever sealed with a key, or in an epoch.
@@ -24,17 +26,17 @@ const END_OF_EPOCHS: u16 = u16::MAX;
 /// which gives away both messages and lets anybody forge. Nothing here can see what an earlier run has
 /// used; see [`resume`](Sealer::resume) and, for packages with epochs, [`begin`](Sealer::begin).
 #[derive(Debug)]
-pub struct Sealer<C: Cipher = AesGcm, H: HeaderFormat = Header> {
-    key: Key<C, H>,
+pub struct Sealer<C: Cipher = AesGcm, H: HeaderFormat = PackageHeader> {
+    key: SealingKey<C, H>,
     id: H::Id,
-    next: H::Place,
+    next: H::Sequence,
 }
 
 impl<C: Cipher> Sealer<C> {
     /// A sender with a key that was never used before, not even in an earlier run: it counts from 1. With a
     /// key that is part of an image this is right once in the key's life, and never again.
     #[must_use]
-    pub const fn new(key: Key<C>, id: SenderId) -> Self {
+    pub const fn new(key: SealingKey<C>, id: SenderId) -> Self {
         Self::resume(key, id, FIRST_COUNTER)
     }
 
@@ -44,7 +46,7 @@ impl<C: Cipher> Sealer<C> {
     /// storage that is written ahead of use, and that lives as long as the key: whoever erases it makes a new
     /// key. Receivers accept the jump. With 2^32 - 1, and so for every mark beyond 32 bits, it seals nothing.
     #[must_use]
-    pub const fn resume(key: Key<C>, id: SenderId, first: u32) -> Self {
+    pub const fn resume(key: SealingKey<C>, id: SenderId, first: u32) -> Self {
         let next = if first < FIRST_COUNTER {
             FIRST_COUNTER
         } else {
@@ -58,13 +60,13 @@ impl<C: Cipher> Sealer<C, EpochHeader> {
     /// A sender that counts from 1 in the epoch `mark`, in which nothing was sealed before with this key.
     ///
     /// `mark` is a number in storage that starts at 0, and above which another one was stored before this
-    /// is called: one epoch for each start, used or not. A number beyond 16 bits is refused, not cut.
+    /// is called: one epoch for each start, used or not. A number beyond 16 bits is rejected, not cut.
     ///
     /// # Errors
     ///
     /// [`EpochError`]: the epochs of the key are used up, 65,535 starts; only a new key helps.
     pub fn begin(
-        key: Key<C, EpochHeader>,
+        key: SealingKey<C, EpochHeader>,
         id: EpochSenderId,
         mark: u64,
     ) -> Result<Self, EpochError> {
@@ -89,14 +91,14 @@ impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
     }
 
     /// The place of the next package, counter and with [`EpochHeader`] epoch; `None` when all are used up.
-    pub fn next_place(&self) -> Option<H::Place> {
+    pub fn next_sequence(&self) -> Option<H::Sequence> {
         (H::counter(self.next) != END).then_some(self.next)
     }
 
     /// The counter of the next package; `None` when all are used up.
     #[must_use]
     pub fn next_counter(&self) -> Option<u32> {
-        self.next_place().map(H::counter)
+        self.next_sequence().map(H::counter)
     }
 
     /// Seals `message` under the next counter.
@@ -106,11 +108,11 @@ impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
     /// [`SealError::CounterExhausted`] after 2^32 - 2 packages, with [`EpochHeader`] of one epoch, and from
     /// then on always. [`SealError::Cipher`] from a cipher that can fail, which [`AesGcm`] cannot. In both
     /// cases there is nothing to send; a message is never handed on unsealed.
-    pub fn seal(&mut self, message: &Message) -> Result<Package, SealError> {
-        let place = self.next_place().ok_or(SealError::CounterExhausted)?;
+    pub fn seal(&mut self, message: &Plaintext) -> Result<Package, SealError> {
+        let sequence = self.next_sequence().ok_or(SealError::CounterExhausted)?;
         // First, so that a failure in between uses the counter up.
-        self.next = H::after(place);
-        let header = H::of(self.id, place);
+        self.next = H::next(sequence);
+        let header = H::new(self.id, sequence);
         let mut sealed = Zeroizing::new(*message);
         let tag = self
             .key

@@ -1,4 +1,4 @@
-//! Any change of a signed frame is refused.
+//! Any change of a signed frame is rejected.
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(

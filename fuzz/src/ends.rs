@@ -2,15 +2,15 @@
 
 use std::time::Duration;
 
-use mavlink_commsec::field::{KEY_SIZE, MESSAGE_SIZE, PACKAGE_SIZE};
+use mavlink_commsec::field::{KEY_SIZE, PACKAGE_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::radio::Status;
 use mavlink_commsec::{
-    AesGcm, Cipher, CipherError, Credential, Message, Nonce, Opener, Sealer, SenderId, Tag,
-    ZeroizeOnDrop, hx, packets,
+    AesGcm, Cipher, CipherError, Credential, Nonce, Opener, PackageTag, Plaintext, Sealer,
+    SenderId, ZeroizeOnDrop, hx, packets,
 };
 use mavseal_relay::Direction;
-use mavseal_relay::sealed::{Counters, End, Event, Marks, Radio, Refusal};
-use mavseal_store::Mark;
+use mavseal_relay::sealed::{Counters, Event, HighWaterMarks, Radio, RejectReason, SealedEndpoint};
+use mavseal_store::HighWaterMark;
 
 use crate::flash::{REGION, Shared};
 use crate::input::input;
@@ -50,14 +50,19 @@ impl Cipher for Unit {
         }
     }
 
-    fn seal(&self, nonce: &Nonce, message: &mut Message) -> Result<Tag, CipherError> {
+    fn seal(&self, nonce: &Nonce, message: &mut Plaintext) -> Result<PackageTag, CipherError> {
         if self.broken {
             return Err(CipherError);
         }
         self.cipher.seal(nonce, message)
     }
 
-    fn open(&self, nonce: &Nonce, message: &mut Message, tag: &Tag) -> Result<(), CipherError> {
+    fn open(
+        &self,
+        nonce: &Nonce,
+        message: &mut Plaintext,
+        tag: &PackageTag,
+    ) -> Result<(), CipherError> {
         self.cipher.open(nonce, message, tag)
     }
 }
@@ -66,18 +71,18 @@ input! {
     /// A step: what arrives or happens, then a turn of the end.
     #[derive(Copy, Default)]
     pub struct Stage {
-        /// 0: a HEARTBEAT on the plain side; 1: a TUNNEL of `of` bytes of payload; 2 and 3: `of` of the
-        /// bytes on the plain side, in the air; 4 and 5: a package of a peer with a TUNNEL; 6: one of a
+        /// 0: a HEARTBEAT on the local side; 1: a TUNNEL of `of` bytes of payload; 2 and 3: `of` of the
+        /// bytes on the local side, in the air; 4 and 5: a package of a peer with a TUNNEL; 6: one of a
         /// stranger; 7: the package of `of` before; 8: one of the first peer with byte `of` changed, counted
         /// round; 9: one of `of` of the bytes; 10 and 11: a frame of `of` of the bytes, air and radio data;
         /// 12: an answer of the radio; 13: a restart; 14 and 15: flash `of` modulo 3 loses its power after
-        /// `of` / 4 steps, or refuses; anything else: nothing.
+        /// `of` / 4 steps, or rejects; anything else: nothing.
         pub kind: u8,
         /// See `kind`.
         pub of: u8,
         /// Time since the step before, in 40 microseconds.
         pub ticks: u16,
-        /// What the plain and the radio's port do; 255 bytes are all there are.
+        /// What the local and the radio's port do; 255 bytes are all there are.
         pub ports: [Behaviour; 2],
     }
 }
@@ -95,7 +100,7 @@ input! {
         /// Where its own counters begin, and those of both peers, each in two halves.
         pub first: [[u16; 2]; 2],
         /// How long a packet waits for others, in milliseconds.
-        pub patience: u8,
+        pub max_delay: u8,
         /// In order.
         pub stages: Vec<Stage>,
         /// What some of them take bytes from.
@@ -103,14 +108,14 @@ input! {
     }
 }
 
-/// All that will arrive, and how much of it in each stage, from the plain side and from the radio.
+/// All that will arrive, and how much of it in each stage, from the local side and from the radio.
 #[derive(Default)]
 struct Script {
-    plain: Vec<u8>,
+    local: Vec<u8>,
     air: Vec<u8>,
     lengths: Vec<[usize; 2]>,
     /// What the peers sealed.
-    sealed: Vec<(SenderId, u32, Message)>,
+    sealed: Vec<(SenderId, u32, Plaintext)>,
 }
 
 fn tunnel(length: u8, serial: u8) -> Vec<u8> {
@@ -136,14 +141,14 @@ impl Script {
         let mut rest = input.bytes;
         let mut serial = 0;
         for Stage { kind, of, .. } in stages {
-            let before = [script.plain.len(), script.air.len()];
+            let before = [script.local.len(), script.air.len()];
             let mut some = || {
                 let (some, others) = rest.split_at(rest.len().min((*of).into()));
                 rest = others;
                 some
             };
             let mut seal = |which: usize, text: &[u8]| {
-                let mut message = [0; MESSAGE_SIZE];
+                let mut message = [0; PLAINTEXT_SIZE];
                 for (byte, text) in message.iter_mut().zip(text) {
                     *byte = *text;
                 }
@@ -160,18 +165,18 @@ impl Script {
                 }
             };
             match kind {
-                0 => script.plain.extend(HEARTBEAT),
-                1 => script.plain.extend(tunnel(*of, serial)),
-                2 => script.plain.extend(some()),
+                0 => script.local.extend(HEARTBEAT),
+                1 => script.local.extend(tunnel(*of, serial)),
+                2 => script.local.extend(some()),
                 3 => script.air.extend(some()),
                 4..=6 => {
                     let package = seal(usize::from(kind - 4), &tunnel(of % 68, serial));
-                    frame(hx::Tag::AirData, &package.unwrap_or_default());
+                    frame(hx::FrameKind::AirData, &package.unwrap_or_default());
                 }
                 7 => {
                     let at = packages.len().checked_sub(usize::from(*of) + 1);
                     let package = at.map_or(&[][..], |at| &packages[at]);
-                    frame(hx::Tag::AirData, package);
+                    frame(hx::FrameKind::AirData, package);
                 }
                 8 => {
                     let package = seal(0, &tunnel(9, serial));
@@ -179,24 +184,24 @@ impl Script {
                     if let Some(byte) = package.get_mut(usize::from(*of) % PACKAGE_SIZE) {
                         *byte ^= 0x10;
                     }
-                    frame(hx::Tag::AirData, &package);
+                    frame(hx::FrameKind::AirData, &package);
                 }
                 9 => {
                     let package = seal(0, some());
-                    frame(hx::Tag::AirData, &package.unwrap_or_default());
+                    frame(hx::FrameKind::AirData, &package.unwrap_or_default());
                 }
-                10 => frame(hx::Tag::AirData, some()),
-                11 => frame(hx::Tag::Radio, some()),
+                10 => frame(hx::FrameKind::AirData, some()),
+                11 => frame(hx::FrameKind::Radio, some()),
                 12 => {
                     let status = Status {
                         rssi: *of,
                         ..Status::default()
                     };
-                    frame(hx::Tag::Radio, &status.to_wire());
+                    frame(hx::FrameKind::Radio, &status.to_wire());
                 }
                 _ => {}
             }
-            let lengths = [script.plain.len() - before[0], script.air.len() - before[1]];
+            let lengths = [script.local.len() - before[0], script.air.len() - before[1]];
             script.lengths.push(lengths);
         }
         script
@@ -213,25 +218,25 @@ struct Seen {
     /// Packages and packets, sealed and opened.
     packages: [u32; 2],
     packets: [u32; 2],
-    refused: [Vec<Refusal>; 2],
+    rejected: [Vec<RejectReason>; 2],
     /// Statuses of the radio that were told.
     told: u8,
-    /// What goes to the plain side.
-    to_plain: Vec<u8>,
+    /// What goes to the local side.
+    to_local: Vec<u8>,
 }
 
 /// No counter is used and no package opened twice, over all restarts; what comes out was sealed by a peer, or
-/// came in on the plain side, whole; every count is that of what was observed.
+/// came in on the local side, whole; every count is that of what was observed.
 pub fn sealed_end(input: &Ends<'_>) {
     let stages = &input.stages[..input.stages.len().min(200)];
     let script = Script::of(input, stages);
     let flashes = [0, 1, 2].map(|at| Shared::new(input.chance.wrapping_add(at)));
     let first = number(input.first[0]);
     if let Some(last) = first.checked_sub(1) {
-        let mut mark = Mark::open(flashes[0].clone(), REGION).expect("fits");
+        let mut mark = HighWaterMark::open(flashes[0].clone(), REGION).expect("fits");
         mark.reserve(last.into(), 0).expect("stored");
     }
-    let (mut plain, mut air) = (Port::new(&script.plain), Port::new(&script.air));
+    let (mut local, mut air) = (Port::new(&script.local), Port::new(&script.air));
     let mut due = [0; 2];
     let mut now = 0;
     // Above everything that was used, and accepted of each peer.
@@ -256,7 +261,7 @@ pub fn sealed_end(input: &Ends<'_>) {
                 u8::MAX => usize::MAX,
                 bytes => bytes.into(),
             };
-            for (which, port) in [&mut plain, &mut air].into_iter().enumerate() {
+            for (which, port) in [&mut local, &mut air].into_iter().enumerate() {
                 due[which] += lengths[which];
                 let arrive = all(stage.ports[which].arrive).min(due[which]);
                 due[which] -= arrive;
@@ -264,7 +269,7 @@ pub fn sealed_end(input: &Ends<'_>) {
             }
             for _ in 0..1000 {
                 let mut events = Vec::new();
-                let polled = end.poll(&mut plain, &mut air, now, &mut |event| events.push(event));
+                let polled = end.poll(&mut local, &mut air, now, &mut |event| events.push(event));
                 for event in events {
                     match event {
                         Event::Sealed(counter) => {
@@ -278,22 +283,22 @@ pub fn sealed_end(input: &Ends<'_>) {
                         }
                         Event::Radio(status) => {
                             if input.station {
-                                seen.to_plain.extend(status.gcs_radio(seen.told));
+                                seen.to_local.extend(status.gcs_radio(seen.told));
                                 seen.told = seen.told.wrapping_add(1);
                             }
                         }
-                        Event::Refused(direction, refusal) => {
-                            let inward = direction == Direction::SecureToPlain;
-                            seen.refused[usize::from(inward)].push(refusal);
-                            reached(Err::<(), _>(refusal));
+                        Event::Rejected(direction, rejection) => {
+                            let inward = direction == Direction::Inbound;
+                            seen.rejected[usize::from(inward)].push(rejection);
+                            reached(Err::<(), _>(rejection));
                         }
                     }
                 }
                 let moved = polled.moved();
-                let failed = polled.plain_to_secure.is_err() || polled.secure_to_plain.is_err();
+                let failed = polled.outbound.is_err() || polled.inbound.is_err();
                 for (direction, from, to) in [
-                    (polled.plain_to_secure, faults[0], faults[1]),
-                    (polled.secure_to_plain, faults[1], faults[0]),
+                    (polled.outbound, faults[0], faults[1]),
+                    (polled.inbound, faults[1], faults[0]),
                 ] {
                     if let Err(error) = &direction {
                         assert!(is_due(error, from, to), "{error}");
@@ -308,11 +313,11 @@ pub fn sealed_end(input: &Ends<'_>) {
         adds_up(end.sealed(), 0, &seen);
         adds_up(end.opened(), 1, &seen);
         // The rest of it is lost with the power.
-        let to_plain = std::mem::take(&mut plain.output);
-        assert!(seen.to_plain.starts_with(&to_plain));
+        let to_local = std::mem::take(&mut local.output);
+        assert!(seen.to_local.starts_with(&to_local));
         left(
             input,
-            &script.plain,
+            &script.local,
             &std::mem::take(&mut air.output),
             &mut last,
         );
@@ -320,11 +325,11 @@ pub fn sealed_end(input: &Ends<'_>) {
     }
 }
 
-fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> End<Shared, 2, Unit> {
+fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> SealedEndpoint<Shared, 2, Unit> {
     let [sent, one, two] = flashes
         .each_ref()
-        .map(|flash| Mark::open(flash.clone(), REGION).expect("fits"));
-    let marks = Marks {
+        .map(|flash| HighWaterMark::open(flash.clone(), REGION).expect("fits"));
+    let marks = HighWaterMarks {
         sent,
         accepted: [one, two],
     };
@@ -337,14 +342,14 @@ fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> End<Shared, 2, Unit> 
         }
     };
     let own = credential(7, if input.broken { BROKEN } else { 1 });
-    let patience = Duration::from_millis(input.patience.into());
-    End::new(&own, &PEERS, marks, radio, patience).expect("keys")
+    let max_delay = Duration::from_millis(input.max_delay.into());
+    SealedEndpoint::new(&own, &PEERS, marks, radio, max_delay).expect("keys")
 }
 
 /// A package that was accepted is newer than all before it, and one that this peer sealed.
 fn opened(
     script: &Script,
-    end: &End<Shared, 2, Unit>,
+    end: &SealedEndpoint<Shared, 2, Unit>,
     sender: SenderId,
     accepted: &mut [u64; 2],
     seen: &mut Seen,
@@ -355,28 +360,28 @@ fn opened(
     let above = &mut accepted[which.expect("a peer")];
     assert!(u64::from(counter) >= *above, "a package is opened twice");
     *above = u64::from(counter) + 1;
-    let is = |(id, number, _): &&(SenderId, u32, Message)| *id == sender && *number == counter;
+    let is = |(id, number, _): &&(SenderId, u32, Plaintext)| *id == sender && *number == counter;
     let (_, _, message) = script.sealed.iter().find(is).expect("sealed by that peer");
     seen.packages[1] += 1;
     for packet in packets(message).flatten() {
         seen.packets[1] += 1;
-        seen.to_plain.extend(packet);
+        seen.to_local.extend(packet);
     }
 }
 
 fn adds_up(counters: &Counters, direction: usize, seen: &Seen) {
     assert_eq!(counters.packages(), seen.packages[direction]);
     assert_eq!(counters.packets(), seen.packets[direction]);
-    for (refusal, count) in counters.refusals() {
-        let refused = seen.refused[direction].iter();
-        let expected = refused.filter(|other| **other == refusal).count();
-        assert_eq!(usize::try_from(count), Ok(expected), "{refusal}");
+    for (rejection, count) in counters.rejections() {
+        let rejected = seen.rejected[direction].iter();
+        let expected = rejected.filter(|other| **other == rejection).count();
+        assert_eq!(usize::try_from(count), Ok(expected), "{rejection}");
     }
 }
 
 /// The packages of a run open after all before them with the end's own key, and hold whole packets of the
-/// plain side and of the radio.
-fn left(input: &Ends<'_>, plain: &[u8], air: &[u8], last: &mut u32) {
+/// local side and of the radio.
+fn left(input: &Ends<'_>, local: &[u8], air: &[u8], last: &mut u32) {
     let mut opener = Opener::<1>::new();
     let key = OWN.prepare().expect("a key");
     let permitted = opener.resume(key, &[(OWN.id, *last)]);
@@ -387,7 +392,7 @@ fn left(input: &Ends<'_>, plain: &[u8], air: &[u8], last: &mut u32) {
             .push(*byte)
             .map(|frame| frame.expect("whole frames"));
         let Some(frame) = frame else { continue };
-        if frame.tag() == hx::Tag::Radio {
+        if frame.kind() == hx::FrameKind::Radio {
             assert_eq!(frame.payload(), b"B\r");
             continue;
         }
@@ -398,7 +403,7 @@ fn left(input: &Ends<'_>, plain: &[u8], air: &[u8], last: &mut u32) {
             let packet = packet.expect("whole packets");
             // VEHICLE_RADIO is its own.
             let told = !input.station && packet.len() == 17 && packet[3..6] == [1, 68, 174];
-            let came = plain.windows(packet.len()).any(|window| window == packet);
+            let came = local.windows(packet.len()).any(|window| window == packet);
             assert!(told || came, "{packet:?}");
         }
     }

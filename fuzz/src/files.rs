@@ -1,6 +1,6 @@
 //! The target about the key file.
 
-use mavseal_keys::{Exceptions, KeyFile, KeyFileError, Who};
+use mavseal_keys::{Exceptions, KeyFile, KeyFileError, Role};
 
 use crate::reached::reached;
 
@@ -49,11 +49,11 @@ fn is_kept(file: &KeyFile, exceptions: Exceptions) {
             assert!(shared || sender.key != other.key);
         }
         let who = if at == 0 {
-            Who::Vehicle
+            Role::Vehicle
         } else {
-            Who::Station(sender.id)
+            Role::Station(sender.id)
         };
-        let source = file.constants(who).expect("somebody in it");
+        let source = file.to_rust_source(who).expect("somebody in it");
         let own = format!("SenderId({})", sender.id);
         assert!(source.contains(&own));
     }

@@ -5,13 +5,13 @@ use std::rc::Rc;
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyStore, Keys,
-    NotStored, Phase, Profile, SigningKey, sign_frame,
+    Authenticate, Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyRing, KeyStore,
+    NotStored, Profile, RolloverState, SigningKey, sign_frame,
 };
 use mavseal_proofs::keys::{self, Event, Memory};
-use mavseal_relay::KeySlots;
+use mavseal_relay::FlashKeyStore;
 use mavseal_store::model::{Failure, Flash, PAGE_SIZE, WORD_SIZE};
-use mavseal_store::{Journal, Mark, OpenError, Region};
+use mavseal_store::{HighWaterMark, Journal, OpenError, Region};
 
 use crate::input::{Head, Stamped, input};
 use crate::reached::reached;
@@ -90,7 +90,7 @@ input! {
         pub cuts: [u8; 4],
         /// At which starts the power fails again: a bit for each, in turn.
         pub starts: u8,
-        /// In order. What fails with a trace is a flash that refuses; without, its power.
+        /// In order. What fails with a trace is a flash that rejects; without, its power.
         pub events: Vec<Event>,
     }
 }
@@ -98,7 +98,7 @@ input! {
 /// The keys of an end in flash.
 struct InFlash {
     flash: Shared,
-    slots: KeySlots<Shared>,
+    slots: FlashKeyStore<Shared>,
     cuts: [u8; 4],
     starts: u8,
 }
@@ -127,8 +127,8 @@ impl InFlash {
     }
 }
 
-fn opened<P: Profile>(flash: &Shared) -> (KeySlots<Shared>, Option<Keys<P>>) {
-    KeySlots::open(flash.clone(), REGION).expect("fits")
+fn opened<P: Profile>(flash: &Shared) -> (FlashKeyStore<Shared>, Option<KeyRing<P>>) {
+    FlashKeyStore::open(flash.clone(), REGION).expect("fits")
 }
 
 impl KeyStore for InFlash {
@@ -140,27 +140,27 @@ impl KeyStore for InFlash {
 }
 
 impl Memory for InFlash {
-    fn restart<P: Profile>(&mut self) -> Keys<P> {
+    fn restart<P: Profile>(&mut self) -> KeyRing<P> {
         self.flash.restart();
         self.starts = self.starts.rotate_left(1);
         let before = if self.starts & 1 == 1 {
             self.cut();
             let (_, keys) = opened::<P>(&self.flash);
             self.flash.restart();
-            keys.map(|keys| keys.phase())
+            keys.map(|keys| keys.rollover_state())
         } else {
             None
         };
         let (slots, keys) = opened(&self.flash);
         self.slots = slots;
-        let keys: Keys<P> = keys.expect("a key was stored");
+        let keys: KeyRing<P> = keys.expect("a key was stored");
         // What one start relied on, the next one finds.
-        assert!(before.is_none_or(|phase| phase == keys.phase()));
+        assert!(before.is_none_or(|phase| phase == keys.rollover_state()));
         keys
     }
 
-    fn fail(&mut self, refuses: bool) {
-        if refuses {
+    fn fail(&mut self, rejects: bool) {
+        if rejects {
             self.flash.with(|flash| flash.fail(u8::MAX));
         } else {
             self.cut();
@@ -173,7 +173,7 @@ impl Memory for InFlash {
 pub fn key_slots(input: &Slots) {
     fits(input.region);
     provides(input);
-    refuses(input.chance);
+    rejects(input.chance);
     // Each event is tried on every key that there ever was.
     let events = &input.events[..input.events.len().min(100)];
     let memories = [input.chance, !input.chance].map(|chance| InFlash::new(chance, input));
@@ -188,7 +188,7 @@ fn fits([start, size]: [u8; 2]) {
         page_size: 1024 * u32::from(size),
     };
     let flash = Shared::new(0);
-    let opened = KeySlots::open::<Hmac>(flash.clone(), region);
+    let opened = FlashKeyStore::open::<Hmac>(flash.clone(), region);
     let whole = start % 2 == 0 && size % 2 == 0 && size > 0;
     let inside = u16::from(start) + 2 * u16::from(size) <= 4;
     let expected = match (whole, inside) {
@@ -209,14 +209,14 @@ fn fits([start, size]: [u8; 2]) {
 fn provides(input: &Slots) {
     let flash = Shared::new(input.chance);
     let (mut slots, _) = opened::<Hmac>(&flash);
-    // What was refused may have been stored all the same.
+    // What was rejected may have been stored all the same.
     let (mut may_be, mut in_use) = (Vec::new(), false);
     for byte in input.provided {
         flash.with(|flash| flash.fail(input.failing));
         let provided = slots.provision::<Hmac>(&[byte; KEY_SIZE]);
         match &provided {
             Ok(keys) => {
-                assert_eq!(keys.phase(), Phase::Settled);
+                assert_eq!(keys.rollover_state(), RolloverState::Settled);
                 may_be = vec![byte];
                 in_use = true;
             }
@@ -234,7 +234,7 @@ fn provides(input: &Slots) {
     let (_, keys) = opened::<Hmac>(&flash);
     assert!(!in_use || keys.is_some());
     if let Some(keys) = keys {
-        assert_eq!(keys.phase(), Phase::Settled);
+        assert_eq!(keys.rollover_state(), RolloverState::Settled);
         let is = |byte: &&u8| accepts(&keys, **byte);
         let found = *may_be.iter().find(is).expect("one of those");
         for byte in input
@@ -248,7 +248,7 @@ fn provides(input: &Slots) {
 }
 
 /// Whether a frame that is signed with key `byte` is accepted.
-fn accepts(keys: &Keys<Hmac>, byte: u8) -> bool {
+fn accepts(keys: &KeyRing<Hmac>, byte: u8) -> bool {
     let mut frame = Frame::new(Head::default().into(), &[]).expect("in every dialect");
     let key = SigningKey::<Hmac>::new(&[byte; KEY_SIZE]).expect("not zeros");
     sign_frame(&mut frame, &key, Stamped::default().into()).expect("not signed yet");
@@ -257,13 +257,13 @@ fn accepts(keys: &Keys<Hmac>, byte: u8) -> bool {
 }
 
 /// A flash that does nothing any more stores nothing, and says so.
-fn refuses(chance: i64) {
+fn rejects(chance: i64) {
     let flash = Shared::new(chance);
     let (mut journal, _) = Journal::<_, 8>::open(flash.clone(), REGION).expect("fits");
-    let mut mark = Mark::open(Shared::new(chance), REGION).expect("fits");
+    let mut mark = HighWaterMark::open(Shared::new(chance), REGION).expect("fits");
     reached(mark.reserve(u64::MAX, 0));
     assert_eq!(mark.get(), 0);
-    let mut mark = Mark::open(flash.clone(), REGION).expect("fits");
+    let mut mark = HighWaterMark::open(flash.clone(), REGION).expect("fits");
     flash.with(Flash::cut);
     for stored in [journal.append(&[1; 8]), journal.replace(&[1; 8])] {
         assert!(stored.is_err());
@@ -274,13 +274,13 @@ fn refuses(chance: i64) {
     reached(reserved);
 }
 
-/// One end that hears nobody: what is refused changes nothing, and what was stored is found again.
+/// One end that hears nobody: what is rejected changes nothing, and what was stored is found again.
 fn alone(mut memory: InFlash, events: &[Event]) {
-    let mut keys: Keys<Hmac> = memory.restart();
+    let mut keys: KeyRing<Hmac> = memory.restart();
     // Whether a store has failed, so that its trace may be found.
     let mut trace = false;
     for event in events {
-        let before = keys.phase();
+        let before = keys.rollover_state();
         let result = match *event {
             Event::Offer => keys.offer(&keys::bytes(2), &mut memory),
             Event::Setup(number) => keys.apply(&keys::bytes(number % 4), &mut memory),
@@ -289,18 +289,18 @@ fn alone(mut memory: InFlash, events: &[Event]) {
             Event::Withdraw => keys.withdraw(&mut memory),
             Event::Restart(_) => {
                 keys = memory.restart();
-                assert!(trace || keys.phase() == before);
+                assert!(trace || keys.rollover_state() == before);
                 trace = false;
                 Ok(())
             }
-            Event::Fail(_, refuses) => {
-                memory.fail(refuses);
+            Event::Fail(_, rejects) => {
+                memory.fail(rejects);
                 Ok(())
             }
             Event::Send(_) | Event::Hear(..) => Ok(()),
         };
         trace |= result == Err(KeyChangeError::NotStored);
-        assert!(result.is_ok() || keys.phase() == before);
+        assert!(result.is_ok() || keys.rollover_state() == before);
         reached(result);
     }
 }

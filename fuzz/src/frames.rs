@@ -10,7 +10,7 @@ use mavlink_signing::{
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::tamper::{self, Change};
 use mavseal_proofs::{emit, packet, parse, relay, sign, unforgeable, verify};
-use mavseal_relay::{Forward, Refusal};
+use mavseal_relay::{ForwardMode, RejectReason};
 
 use crate::input::{Head, Message, Moment, NOW, Receiver, Stamped, input};
 use crate::reached::reached;
@@ -53,7 +53,7 @@ fn verdict(
 /// and threads share; and as the relay calls it. What is sent on was undamaged, and is not signed again.
 fn every_verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) {
     let verdict = verdict(bytes, receiver, now, repair::tag);
-    let traceless = unforgeable::refusal_leaves_no_trace(bytes, &KEY, receiver, now);
+    let traceless = unforgeable::rejection_leaves_no_trace(bytes, &KEY, receiver, now);
     assert_eq!(traceless, verdict);
     if let Err(error) = verdict {
         assert_eq!(
@@ -61,7 +61,7 @@ fn every_verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) {
             matches!(error, VerifyError::Parse(_))
         );
     }
-    reached(verdict.map_err(Refusal::from));
+    reached(verdict.map_err(RejectReason::from));
 
     let Ok(frame) = FrameRef::parse(bytes) else {
         return;
@@ -88,7 +88,7 @@ fn every_verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) {
             sign_again(copy);
         }
     }
-    reached(copy.as_ref().map_err(|error| Refusal::from(*error)));
+    reached(copy.as_ref().map_err(|error| RejectReason::from(*error)));
     reached(copy);
 }
 
@@ -171,20 +171,20 @@ pub fn verify_repaired(input: &Packaged<'_>) {
     let _ = verdict(&bytes, receiver, now, tag);
 }
 
-/// The same, whoever asks for the verdict (V1, V2), and given to the relay: from the secure side only what
-/// is verified goes on, from the plain side only what is unsigned (L1).
+/// The same, whoever asks for the verdict (V1, V2), and given to the relay: from the link side only what
+/// is verified goes on, from the local side only what is unsigned (L1).
 pub fn relay_packet(input: &Packaged<'_>) {
     let (bytes, _) = input.packet();
     let (now, receiver) = (input.now.timestamp(), input.receiver.into());
     every_verdict(&bytes, receiver, now);
     let parsed = Packet::parse(&bytes, crc_extra);
-    reached(parsed.map_err(Refusal::from));
+    reached(parsed.map_err(RejectReason::from));
     let Ok(packet) = parsed else {
         return;
     };
     // Where something is damaged, that is the byte to look at.
     let index = usize::from(input.damage_at);
-    for forward in [Forward::Whole, Forward::Stripped] {
+    for forward in [ForwardMode::KeepSignature, ForwardMode::StripSignature] {
         reached(relay::only_verified_leaves(
             packet, &KEY, receiver, forward, now, index,
         ));
@@ -242,9 +242,9 @@ input! {
     }
 }
 
-/// Any change of a signed frame is refused.
+/// Any change of a signed frame is rejected.
 pub fn tamper_one(input: &Tampered<'_>) {
     let (header, stamp) = (input.head.into(), input.stamped.into());
-    let refusal = tamper::change_is_refused(header, input.payload, &KEY, stamp, &input.changes);
-    reached(refusal.map_or(Ok(()), Err));
+    let rejection = tamper::change_is_rejected(header, input.payload, &KEY, stamp, &input.changes);
+    reached(rejection.map_or(Ok(()), Err));
 }

@@ -3,9 +3,9 @@
 use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{FrameRef, field::MAGIC};
 use mavlink_signing::{
-    Hmac, Replay, SigningKey, Stamper, Timestamp, VerifyError, Window, authenticate,
+    Hmac, ReplayGuard, SigningKey, Stamper, Timestamp, VerifyError, Window, authenticate,
 };
-use mavseal_relay::{Forward, PortError, Relay, SameLinkId};
+use mavseal_relay::{ForwardMode, PortError, Relay, SameLinkId};
 
 use crate::input::{Moment, input};
 use crate::reached::reached;
@@ -30,7 +30,7 @@ input! {
     pub struct Poll {
         /// Ticks since the last one.
         pub ticks: u16,
-        /// What the plain and the secure port do.
+        /// What the local and the link port do.
         pub ports: [Behaviour; 2],
     }
 }
@@ -45,9 +45,9 @@ input! {
         pub start: Moment,
         /// The turns.
         pub polls: Vec<Poll>,
-        /// How many of the bytes come from the plain side.
-        pub plain: u16,
-        /// The bytes from the plain side, then those from the secure side.
+        /// How many of the bytes come from the local side.
+        pub local: u16,
+        /// The bytes from the local side, then those from the link side.
         pub bytes: &'a [u8],
     }
 }
@@ -175,20 +175,20 @@ pub(crate) fn is_due(error: &PortError<ErrorKind, ErrorKind>, input: Fault, outp
 }
 
 /// The relay between ports that fail: an error is the one that a port gave, and nothing is lost by it;
-/// what leaves on the secure side is signed, whole and in order, however long the lines are silent.
+/// what leaves on the link side is signed, whole and in order, however long the lines are silent.
 pub fn relay_ports(input: &Faulty<'_>) {
-    let plain = usize::from(input.plain).min(input.bytes.len());
+    let local = usize::from(input.local).min(input.bytes.len());
     let mut bytes = input.bytes.to_vec();
-    let (plain, secure) = bytes.split_at_mut(plain);
+    let (local, link) = bytes.split_at_mut(local);
     let start = input.start.timestamp();
     let [link_out, link_in] = input.link_ids;
-    for side in [&mut *plain, &mut *secure] {
+    for side in [&mut *local, &mut *link] {
         repair::stream(side, 0, |packet, parts| {
             parts.restamp(packet, Some(link_in), Some(start));
         });
     }
-    let output = run(input, plain, secure, &input.polls);
-    let Ok([to_plain, to_secure]) = output else {
+    let output = run(input, local, link, &input.polls);
+    let Ok([to_local, to_link]) = output else {
         assert_eq!(link_out, link_in);
         return reached(output);
     };
@@ -196,16 +196,16 @@ pub fn relay_ports(input: &Faulty<'_>) {
     // Only where the clock stands is a line never silent, so that it makes no difference when bytes
     // were read.
     if input.polls.iter().all(|poll| poll.ticks == 0) {
-        let without = run(input, plain, secure, &[]).expect("as before");
-        assert_eq!([&to_plain, &to_secure], [&without[0], &without[1]]);
+        let without = run(input, local, link, &[]).expect("as before");
+        assert_eq!([&to_local, &to_link], [&without[0], &without[1]]);
     }
-    assert!(to_plain.is_empty() || to_plain[0] == MAGIC);
+    assert!(to_local.is_empty() || to_local[0] == MAGIC);
     let window = Window {
         past: u64::MAX,
         ahead: u64::MAX,
     };
-    let mut replay = Replay::new(link_out, window);
-    let mut rest = &to_secure[..];
+    let mut replay = ReplayGuard::new(link_out, window);
+    let mut rest = &to_link[..];
     while !rest.is_empty() {
         let frame = FrameRef::parse(rest).expect("whole frames");
         rest = &rest[frame.as_bytes().len()..];
@@ -214,30 +214,35 @@ pub fn relay_ports(input: &Faulty<'_>) {
     }
 }
 
-/// What leaves on the plain and on the secure side.
+/// What leaves on the plain and on the link side.
 fn run(
     input: &Faulty<'_>,
-    plain: &[u8],
-    secure: &[u8],
+    local: &[u8],
+    link: &[u8],
     polls: &[Poll],
 ) -> Result<[Vec<u8>; 2], SameLinkId> {
     let [link_out, link_in] = input.link_ids;
     let mut now = input.start.timestamp();
     let key = SigningKey::<Hmac>::new(&SECRET).expect("a key");
-    let replay = Replay::new(link_in, Window::SEED);
-    let mut relay =
-        Relay::new(key, Stamper::new(link_out), replay, Forward::Stripped)?.idle(0x8000);
-    let (mut plain, mut secure) = (Port::new(plain), Port::new(secure));
+    let replay = ReplayGuard::new(link_in, Window::STRICT);
+    let mut relay = Relay::new(
+        key,
+        Stamper::new(link_out),
+        replay,
+        ForwardMode::StripSignature,
+    )?
+    .idle(0x8000);
+    let (mut local, mut link) = (Port::new(local), Port::new(link));
     for poll in polls {
         now = now.saturating_add(poll.ticks.into());
-        let [from_plain, from_secure] = poll.ports.map(|port| Fault::from(port.fault));
-        let [at_plain, at_secure] = poll.ports;
-        plain.turn(at_plain.arrive.into(), at_plain.room.into(), from_plain);
-        secure.turn(at_secure.arrive.into(), at_secure.room.into(), from_secure);
-        let polled = relay.poll(&mut plain, &mut secure, &mut || now, &mut |_| {});
+        let [from_local, from_link] = poll.ports.map(|port| Fault::from(port.fault));
+        let [at_local, at_link] = poll.ports;
+        local.turn(at_local.arrive.into(), at_local.room.into(), from_local);
+        link.turn(at_link.arrive.into(), at_link.room.into(), from_link);
+        let polled = relay.poll(&mut local, &mut link, &mut || now, &mut |_| {});
         for (direction, input, output) in [
-            (polled.plain_to_secure, from_plain, from_secure),
-            (polled.secure_to_plain, from_secure, from_plain),
+            (polled.outbound, from_local, from_link),
+            (polled.inbound, from_link, from_local),
         ] {
             if let Err(error) = &direction {
                 assert!(is_due(error, input, output), "{error}");
@@ -245,16 +250,16 @@ fn run(
             reached(direction);
         }
     }
-    drain(&mut relay, &mut plain, &mut secure, now);
-    Ok([plain.output, secure.output])
+    drain(&mut relay, &mut local, &mut link, now);
+    Ok([local.output, link.output])
 }
 
 /// Polls until nothing moves any more.
-fn drain(relay: &mut Relay<Hmac>, plain: &mut Port<'_>, secure: &mut Port<'_>, now: Timestamp) {
+fn drain(relay: &mut Relay<Hmac>, local: &mut Port<'_>, link: &mut Port<'_>, now: Timestamp) {
     loop {
-        plain.turn(usize::MAX, usize::MAX, Fault::None);
-        secure.turn(usize::MAX, usize::MAX, Fault::None);
-        let polled = relay.poll(plain, secure, &mut || now, &mut |_| {});
+        local.turn(usize::MAX, usize::MAX, Fault::None);
+        link.turn(usize::MAX, usize::MAX, Fault::None);
+        let polled = relay.poll(local, link, &mut || now, &mut |_| {});
         if !polled.moved() {
             break;
         }

@@ -1,18 +1,18 @@
 //! Targets about sealed links: packages, frames, messages, and histories of all of them.
 
 use mavlink_commsec::field::{
-    HEADER_SIZE, KEY_SIZE, MESSAGE_SIZE, NONCE_SIZE, PACKAGE_SIZE, TAG_SIZE,
+    HEADER_SIZE, KEY_SIZE, NONCE_SIZE, PACKAGE_SIZE, PLAINTEXT_SIZE, TAG_SIZE,
 };
-use mavlink_commsec::hx::{Decoder, Tag};
+use mavlink_commsec::hx::{Decoder, FrameKind};
 use mavlink_commsec::{
-    AesGcm, Cipher, CipherError, Credential, EpochCounter, EpochHeader, Header, Key, Message,
-    Opener, PackError, PermitError, Sealer, SenderId, radio,
+    AesGcm, Cipher, CipherError, Credential, EpochCounter, EpochHeader, Opener, PackError,
+    PackageHeader, PermitError, Plaintext, Sealer, SealingKey, SenderId, radio,
 };
 use mavseal_proofs::cipher::{Specified, Verdict, nonce_of};
 use mavseal_proofs::link::{self, Step};
 use mavseal_proofs::packing::Kind;
 use mavseal_proofs::{framing, opening, packing, sealing};
-use mavseal_relay::sealed::Refusal;
+use mavseal_relay::sealed::RejectReason;
 use ring::aead::{AES_128_GCM, Aad, LessSafeKey, Nonce, UnboundKey};
 use std::error::Error as _;
 use std::time::Duration;
@@ -53,7 +53,7 @@ pub fn open_package(input: &Arrival<'_>) {
     if input.epochs {
         arrives::<EpochHeader>(input);
     } else {
-        arrives::<Header>(input);
+        arrives::<PackageHeader>(input);
     }
 }
 
@@ -67,20 +67,20 @@ fn arrives<H: Specified>(input: &Arrival<'_>) {
     let limit = input.limit.into();
     let mut opener = receiver::<H>(input.shared, lasts, limit);
     let verdict = opening::step(&mut opener, limit, input.shared, &package, right);
-    reached(verdict.map_err(Refusal::from));
+    reached(verdict.map_err(RejectReason::from));
     reached(verdict);
 
     let opened = receiver::<H>(input.shared, lasts, u32::MAX).open(&package);
     if let Ok(opened) = opened {
         let message = expected::<H>(input.shared, &package);
-        assert_eq!(Some(*opened.message()), message);
+        assert_eq!(Some(*opened.plaintext()), message);
         for packet in opened.packets() {
             let _ = packet;
         }
-        reached(packing::unpacked(opened.message()));
+        reached(packing::unpacked(opened.plaintext()));
     }
     if let Ok(package) = <&[u8; PACKAGE_SIZE]>::try_from(&package[..]) {
-        let at = usize::from(input.limit) % MESSAGE_SIZE;
+        let at = usize::from(input.limit) % PLAINTEXT_SIZE;
         for verdict in [Verdict::Right, Verdict::Wrong, Verdict::Fails] {
             let _ = opening::comes_out::<H>(SALT, lasts[0], verdict, package, at);
         }
@@ -97,42 +97,42 @@ fn repaired<H: Specified>(input: &Arrival<'_>, last: [(u16, u32); 2]) -> Vec<u8>
     if package.len() != PACKAGE_SIZE {
         return package;
     }
-    let (mut id, mut place) = header_of::<H>(&package);
+    let (mut id, mut sequence) = header_of::<H>(&package);
     let which = usize::from(package[0] & 1);
     if makes(2) {
         id = H::id(IDS[which]);
     }
     if makes(4) {
         let (epoch, counter) = last[which];
-        place = H::place_of(epoch, counter.wrapping_add_signed(input.near.into()));
+        sequence = H::place_of(epoch, counter.wrapping_add_signed(input.near.into()));
     }
-    package[..HEADER_SIZE].copy_from_slice(&H::write(id, place));
+    package[..HEADER_SIZE].copy_from_slice(&H::write(id, sequence));
     if makes(8) {
         let cipher = AesGcm::new(&KEYS[if input.shared { 0 } else { which }]);
-        let nonce = nonce_of::<H>(SALT, id, place);
+        let nonce = nonce_of::<H>(SALT, id, sequence);
         let mut message = *package[HEADER_SIZE..].first_chunk().expect("96 bytes");
         let tag = cipher
             .seal(&nonce, &mut message)
             .expect("AES does not fail");
-        package[HEADER_SIZE..][..MESSAGE_SIZE].copy_from_slice(&message);
-        package[HEADER_SIZE + MESSAGE_SIZE..].copy_from_slice(&tag);
+        package[HEADER_SIZE..][..PLAINTEXT_SIZE].copy_from_slice(&message);
+        package[HEADER_SIZE + PLAINTEXT_SIZE..].copy_from_slice(&tag);
     }
     package
 }
 
-fn header_of<H: Specified>(package: &[u8]) -> (H::Id, H::Place) {
+fn header_of<H: Specified>(package: &[u8]) -> (H::Id, H::Sequence) {
     H::read(*package.first_chunk().expect("96 bytes"))
 }
 
 /// The message of a package whose tag is that of its sender's key: found by sealing alone. What is sealed
 /// of zeros is what a message is mixed with.
-fn expected<H: Specified>(shared: bool, package: &[u8]) -> Option<Message> {
+fn expected<H: Specified>(shared: bool, package: &[u8]) -> Option<Plaintext> {
     let package: &[u8; PACKAGE_SIZE] = package.try_into().ok()?;
-    let (id, place) = header_of::<H>(package);
+    let (id, sequence) = header_of::<H>(package);
     let which = IDS.iter().position(|number| H::id(*number) == id)?;
     let cipher = AesGcm::new(&KEYS[if shared { 0 } else { which }]);
-    let nonce = nonce_of::<H>(SALT, id, place);
-    let mut message = [0; MESSAGE_SIZE];
+    let nonce = nonce_of::<H>(SALT, id, sequence);
+    let mut message = [0; PLAINTEXT_SIZE];
     cipher
         .seal(&nonce, &mut message)
         .expect("AES does not fail");
@@ -145,9 +145,13 @@ fn expected<H: Specified>(shared: bool, package: &[u8]) -> Option<Message> {
     (Some(&tag) == package.last_chunk::<TAG_SIZE>()).then_some(message)
 }
 
-fn receiver<H: Specified>(shared: bool, lasts: [H::Place; 2], limit: u32) -> Opener<2, AesGcm, H> {
+fn receiver<H: Specified>(
+    shared: bool,
+    lasts: [H::Sequence; 2],
+    limit: u32,
+) -> Opener<2, AesGcm, H> {
     let mut opener = Opener::<2, AesGcm, H>::with_limit(limit);
-    let key = |which: usize| Key::new(&KEYS[which], SALT).expect("a key");
+    let key = |which: usize| SealingKey::new(&KEYS[which], SALT).expect("a key");
     let [one, two] = [0, 1].map(|which: usize| (H::id(IDS[which]), lasts[which]));
     let permitted = if shared {
         opener.resume(key(0), &[one, two])
@@ -162,7 +166,7 @@ fn receiver<H: Specified>(shared: bool, lasts: [H::Place; 2], limit: u32) -> Ope
         salt: SALT,
     };
     for key in [0, 1, 0xFF] {
-        let made = Opener::<1, AesGcm, H>::of(&[erased(key)], |_| H::BEFORE_ALL);
+        let made = Opener::<1, AesGcm, H>::from_credentials(&[erased(key)], |_| H::ZERO);
         assert_eq!(made.is_ok(), key == 1);
         if let Err(error) = &made {
             assert!(error.source().is_some());
@@ -170,8 +174,8 @@ fn receiver<H: Specified>(shared: bool, lasts: [H::Place; 2], limit: u32) -> Ope
         reached(made);
     }
     for senders in [&[][..], &[one.0], &[H::id(8), H::id(9)]] {
-        let refused: Result<(), PermitError> = opener.permit(key(0), senders);
-        reached(refused);
+        let rejected: Result<(), PermitError> = opener.permit(key(0), senders);
+        reached(rejected);
     }
     opener
 }
@@ -201,13 +205,13 @@ pub fn seal_open(input: &Sealing) {
     let [salt, id, first] = numbers;
     let message =
         |turn: u8| std::array::from_fn(|at| input.bytes[at % 16].rotate_left(turn.into()));
-    let messages: [Message; 2] = [message(0), message(3)];
+    let messages: [Plaintext; 2] = [message(0), message(3)];
     let verdict = if input.fails {
         Verdict::Fails
     } else {
         Verdict::Right
     };
-    let at = usize::from(input.at) % MESSAGE_SIZE;
+    let at = usize::from(input.at) % PLAINTEXT_SIZE;
     reached(sealing::packages(numbers, verdict, &messages, at));
     let mark = input
         .mark
@@ -217,13 +221,13 @@ pub fn seal_open(input: &Sealing) {
     if let Ok(outcome) = epoch {
         reached(outcome);
     }
-    let place = EpochCounter::from_number(mark);
+    let sequence = EpochCounter::from_number(mark);
     assert_eq!(
-        place.map(EpochCounter::to_number),
+        sequence.map(EpochCounter::to_number),
         Some(mark).filter(|mark| mark >> 48 == 0)
     );
 
-    let key = || Key::<AesGcm>::new(&KEYS[0], salt).expect("a key");
+    let key = || SealingKey::<AesGcm>::new(&KEYS[0], salt).expect("a key");
     let mut sealer = if first == 1 {
         Sealer::new(key(), SenderId(id))
     } else {
@@ -236,7 +240,7 @@ pub fn seal_open(input: &Sealing) {
     for message in &messages {
         if let Ok(package) = sealer.seal(message) {
             let opened = opener.open(package.as_bytes()).expect("genuine");
-            assert_eq!(opened.message(), message);
+            assert_eq!(opened.plaintext(), message);
         }
     }
 }
@@ -262,7 +266,7 @@ pub fn sealed_link(input: &History) {
     let _ = if input.epochs {
         link::history::<AesGcm, EpochHeader>(first, &input.steps)
     } else {
-        link::history::<AesGcm, Header>(first, &input.steps)
+        link::history::<AesGcm, PackageHeader>(first, &input.steps)
     };
 }
 
@@ -285,9 +289,9 @@ pub fn hx_decoder(input: &Line<'_>) {
     let payload = usize::from(input.payload).min(input.bytes.len());
     let (payload, noise) = input.bytes.split_at(payload);
     let tag = if input.radio {
-        Tag::Radio
+        FrameKind::Radio
     } else {
-        Tag::AirData
+        FrameKind::AirData
     };
     let _ = framing::stream(noise);
     let mut decoder = Decoder::new();
@@ -375,7 +379,7 @@ input! {
         /// Whether it is asked after each packet.
         pub polls: bool,
         /// How long a packet may wait, in milliseconds.
-        pub patience: u8,
+        pub max_delay: u8,
         /// Any message.
         pub message: [[u8; 16]; 5],
         /// The packets.
@@ -388,7 +392,7 @@ pub fn pack_packets(input: &Packets) {
     let millis = |millis: u8| Duration::from_millis(millis.into());
     let kind = Kind {
         old: input.old,
-        patience: millis(input.patience),
+        max_delay: millis(input.max_delay),
     };
     let packets: Vec<_> = input.shapes.iter().map(|shape| shape.bytes()).collect();
     let mut now = Duration::ZERO;
@@ -431,9 +435,9 @@ input! {
 }
 
 /// AES-128-GCM against the crate `ring`: the same bytes, the first half of its tag; one changed bit is
-/// refused. Which bytes are a key.
+/// rejected. Which bytes are a key.
 pub fn diff_gcm(input: &Gcm<'_>) {
-    let message: Message = input.message.as_flattened().try_into().expect("80 bytes");
+    let message: Plaintext = input.message.as_flattened().try_into().expect("80 bytes");
     let cipher = AesGcm::new(&input.key);
     let mut sealed = message;
     let tag = cipher
@@ -451,15 +455,15 @@ pub fn diff_gcm(input: &Gcm<'_>) {
     let bit = usize::from(input.bit) % (8 * changed.len());
     changed[bit / 8] ^= 1 << (bit % 8);
     let (mut text, changed_tag) = (
-        *changed.first_chunk::<MESSAGE_SIZE>().expect("88 bytes"),
+        *changed.first_chunk::<PLAINTEXT_SIZE>().expect("88 bytes"),
         changed.last_chunk().expect("88 bytes"),
     );
-    let refused = cipher.open(&input.nonce, &mut text, changed_tag);
-    assert_eq!(refused, Err(CipherError));
+    let rejected = cipher.open(&input.nonce, &mut text, changed_tag);
+    assert_eq!(rejected, Err(CipherError));
     assert_eq!(cipher.open(&input.nonce, &mut sealed, &tag), Ok(()));
     assert_eq!(sealed, message);
 
-    let made = Key::<AesGcm>::new(input.other, SALT);
+    let made = SealingKey::<AesGcm>::new(input.other, SALT);
     let all = |of: u8| input.other.iter().all(|byte| *byte == of);
     assert_eq!(
         made.is_ok(),

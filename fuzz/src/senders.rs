@@ -2,12 +2,12 @@
 
 use mavlink_signing::field::TAG_SIZE;
 use mavlink_signing::{
-    Admit, Frame, FrameRef, Header, Links, MessageId, Stamp, Stream, Streams, Timestamp,
+    AntiReplay, Frame, FrameRef, Header, Links, MessageId, Stamp, Stream, StreamTable, Timestamp,
     VerifyError, Window, authenticate, sign_frame,
 };
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::streams::{reflected, step};
-use mavseal_relay::Refusal;
+use mavseal_relay::RejectReason;
 
 use crate::input::{Receiver, input};
 use crate::reached::reached;
@@ -146,7 +146,7 @@ fn run<const N: usize>(input: &Arrivals) {
     } else {
         Links::Any
     };
-    let mut streams = Streams::<N>::resume(links, window, first);
+    let mut streams = StreamTable::<N>::resume(links, window, first);
     let mut naive = Naive {
         links,
         window,
@@ -181,12 +181,12 @@ fn run<const N: usize>(input: &Arrivals) {
         let (verdict, expected) = match kind {
             3 => {
                 naive.send(stream, timestamp);
-                let refusal = reflected(&mut streams, &KEY, header, stamp, now);
-                (Err(refusal), naive.receive(stream, timestamp, now))
+                let rejection = reflected(&mut streams, &KEY, header, stamp, now);
+                (Err(rejection), naive.receive(stream, timestamp, now))
             }
             4..=6 => {
-                let (bytes, refusal) = spoilt(header, stamp, kind);
-                (receive(&bytes, &mut streams, now), Err(refusal))
+                let (bytes, rejection) = spoilt(header, stamp, kind);
+                (receive(&bytes, &mut streams, now), Err(rejection))
             }
             7 => {
                 let mut frame = Frame::new(header, &[]).expect("a known message");
@@ -200,7 +200,7 @@ fn run<const N: usize>(input: &Arrivals) {
             }
         };
         assert_eq!(verdict, expected);
-        reached(verdict.map_err(Refusal::from));
+        reached(verdict.map_err(RejectReason::from));
         reached(verdict);
         let rows = naive.rows().into_iter();
         assert!(streams.rows().eq(rows.map(|(of, last)| (of, Some(last)))));
@@ -249,10 +249,10 @@ fn spoilt(header: Header, stamp: Stamp, kind: u8) -> (Vec<u8>, VerifyError) {
 }
 
 /// As a relay asks for it: the verdict beforehand is the verdict, and what is unsigned is not remembered.
-fn receive(bytes: &[u8], streams: &mut impl Admit, now: Timestamp) -> Result<(), VerifyError> {
+fn receive(bytes: &[u8], streams: &mut impl AntiReplay, now: Timestamp) -> Result<(), VerifyError> {
     let frame = FrameRef::parse(bytes)?;
     if !frame.is_signed() {
-        streams.sent(frame);
+        streams.record_sent(frame);
     }
     let authentic = authenticate(frame, &KEY)?;
     let expected = streams.check(&authentic, now);

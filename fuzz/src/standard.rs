@@ -40,7 +40,7 @@ const LATER: u64 = 1 << 47;
 /// The profile `Standard` against the crates `mavlink-core` and `hmac-sha256` (S3): equal tags, and each
 /// end takes what the other has signed and nothing that is damaged.
 ///
-/// A known difference: `mavlink-core` goes by the machine's clock, refuses new streams a minute behind
+/// A known difference: `mavlink-core` goes by the machine's clock, rejects new streams a minute behind
 /// it and stamps nothing earlier. So before [`LATER`] its tags alone are compared.
 pub fn diff_standard(input: &Foreign<'_>) {
     let made = SigningKey::<Standard>::new(&input.key);

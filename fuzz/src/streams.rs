@@ -6,7 +6,7 @@ use mavlink_signing::{Decoder, Hmac, Resync, SigningKey, Timestamp};
 use mavseal_proofs::history::{Step, history};
 use mavseal_proofs::packet;
 use mavseal_proofs::pipes::{Turn, pipes};
-use mavseal_relay::Forward;
+use mavseal_relay::ForwardMode;
 
 use crate::input::{Moment, input};
 use crate::reached::reached;
@@ -89,20 +89,20 @@ input! {
         pub spared: u16,
         /// How the ports behave, turn by turn.
         pub turns: Vec<Turn>,
-        /// How many of the bytes come from the plain side.
-        pub plain: u16,
-        /// The bytes from the plain side, then those from the secure side.
+        /// How many of the bytes come from the local side.
+        pub local: u16,
+        /// The bytes from the local side, then those from the link side.
         pub bytes: &'a [u8],
     }
 }
 
 impl Piped<'_> {
-    /// What arrives on the plain and on the secure side.
+    /// What arrives on the plain and on the link side.
     #[must_use]
     pub fn streams(&self) -> [Vec<u8>; 2] {
-        let plain = usize::from(self.plain).min(self.bytes.len());
-        let (plain, secure) = self.bytes.split_at(plain);
-        let mut streams = [plain.to_vec(), secure.to_vec()];
+        let local = usize::from(self.local).min(self.bytes.len());
+        let (local, link) = self.bytes.split_at(local);
+        let mut streams = [local.to_vec(), link.to_vec()];
         let now = self.now.timestamp();
         for stream in &mut streams {
             repair::stream(stream, self.spared, |packet, parts| {
@@ -127,17 +127,17 @@ fn near(packet: &mut [u8], parts: Parts, now: Timestamp) {
 /// The relay between two pipes, both ways, against its parts in sequence (L1).
 pub fn relay(input: &Piped<'_>) {
     let forward = if input.whole {
-        Forward::Whole
+        ForwardMode::KeepSignature
     } else {
-        Forward::Stripped
+        ForwardMode::StripSignature
     };
     let key = || SigningKey::<Hmac>::new(&SECRET).expect("a key");
-    let [plain, secure] = input.streams();
+    let [local, link] = input.streams();
     let now = input.now.timestamp();
-    let counted = pipes(key, forward, now, &plain, &secure, &input.turns);
+    let counted = pipes(key, forward, now, &local, &link, &input.turns);
     for counters in counted {
-        for (refusal, count) in counters.refusals() {
-            reached(if count > 0 { Err(refusal) } else { Ok(()) });
+        for (rejection, count) in counters.rejections() {
+            reached(if count > 0 { Err(rejection) } else { Ok(()) });
         }
     }
 }

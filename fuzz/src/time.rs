@@ -5,12 +5,12 @@ use std::cell::Cell;
 use crc::{CRC_32_ISO_HDLC, Crc};
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
-    Clock, Frame, FrameRef, Header, MessageId, RESERVATION, Replay, Source, Stamp, Stamper, Sync,
-    Timekeeper, Timestamp, VerifyError, Window, authenticate, sign_frame, system_time,
+    Clock, Frame, FrameRef, Header, LinkClock, MessageId, RESERVATION, ReplayGuard, Stamp, Stamper,
+    SyncState, TimeSource, Timestamp, VerifyError, Window, authenticate, sign_frame, system_time,
 };
-use mavseal_relay::{Kept, KeptError, Refusal};
+use mavseal_relay::{PersistentClock, PersistentClockError, RejectReason};
 use mavseal_store::model::{Flash, PAGE_SIZE};
-use mavseal_store::{Mark, Region, ReserveError, StoreError};
+use mavseal_store::{HighWaterMark, Region, ReserveError, StoreError};
 
 use crate::input::{Moment, input};
 use crate::reached::reached;
@@ -67,7 +67,7 @@ struct Used {
     accepted: Option<Timestamp>,
 }
 
-/// An end over its restarts: no stamp is given twice (T1, T2), no frame accepted twice (R3); what is refused
+/// An end over its restarts: no stamp is given twice (T1, T2), no frame accepted twice (R3); what is rejected
 /// changes no receiver and moves no clock, what is not trusted moves it by a second at most, and a clock that
 /// knows the time accepts nothing outside of the window.
 pub fn kept_link(input: &End) {
@@ -75,7 +75,7 @@ pub fn kept_link(input: &End) {
     let mut flash = Flash::new(input.chance.into());
     let mut used = Used::default();
     if input.happenings.is_empty() {
-        reached(Kept::new(flash, NOWHERE, || 0).map(drop));
+        reached(PersistentClock::new(flash, NOWHERE, || 0).map(drop));
         return;
     }
     if input.records > 0 {
@@ -86,12 +86,12 @@ pub fn kept_link(input: &End) {
     }
     let mut happenings = input.happenings.iter();
     loop {
-        let kept = Kept::new(flash, REGION, || timer.get());
+        let kept = PersistentClock::new(flash, REGION, || timer.get());
         reached(kept.as_ref().map(drop));
         let kept = match kept {
             Ok(kept) => kept.drifting(input.drift.into()),
             Err(error) => {
-                assert_eq!(error, KeptError::Exhausted);
+                assert_eq!(error, PersistentClockError::Exhausted);
                 return;
             }
         };
@@ -100,7 +100,7 @@ pub fn kept_link(input: &End) {
         }
         let mut end = Run {
             stamper: kept.stamper(LINK_IDS[0]),
-            receiver: Replay::resume(LINK_IDS[1], Window::LINK, kept.floor()),
+            receiver: ReplayGuard::resume(LINK_IDS[1], Window::ONE_MINUTE, kept.floor()),
             kept,
             bounded: 0,
         };
@@ -128,7 +128,7 @@ pub fn kept_link(input: &End) {
 
 /// A flash whose mark lies above `last`, as if that had been used.
 fn begin_at(flash: Flash<2>, last: Timestamp, used: &mut Used) -> Flash<2> {
-    let mut mark = Mark::open(flash, REGION).expect("the region fits");
+    let mut mark = HighWaterMark::open(flash, REGION).expect("the region fits");
     let reserved = mark.reserve(last.ticks(), 0);
     reached(reserved);
     match reserved {
@@ -152,9 +152,9 @@ fn write_record(flash: &mut Flash<2>, number: u32) {
 
 /// The end between two starts.
 struct Run<T> {
-    kept: Kept<Flash<2>, T>,
+    kept: PersistentClock<Flash<2>, T>,
     stamper: Stamper,
-    receiver: Replay,
+    receiver: ReplayGuard,
     /// Ticks that sources have moved it that are not trusted, since one was that is.
     bounded: u64,
 }
@@ -178,13 +178,16 @@ impl<T: FnMut() -> u64> Run<T> {
     }
 
     fn told(&mut self, before: Timestamp, time: Timestamp) {
-        let told = self.kept.tell(Source::Trusted, time);
+        let told = self.kept.update(TimeSource::Trusted, time);
         if told.is_err() || time == Timestamp::ZERO {
             assert_eq!(self.kept.now(), before);
             return;
         }
         assert_eq!(told, Ok(time.ticks_since(before)));
-        assert_eq!((self.kept.now(), self.kept.sync()), (time, Sync::Synced));
+        assert_eq!(
+            (self.kept.now(), self.kept.sync()),
+            (time, SyncState::Synced)
+        );
         self.bounded = 0;
     }
 
@@ -192,18 +195,18 @@ impl<T: FnMut() -> u64> Run<T> {
         let sync = self.kept.sync();
         let step = self
             .kept
-            .tell(Source::Bounded, time)
-            .expect("never refused");
+            .update(TimeSource::Bounded, time)
+            .expect("never rejected");
         assert_eq!(self.kept.now(), before.saturating_add(step));
         assert_eq!(self.kept.sync(), sync);
         assert!(step <= time.ticks_since(before));
         self.bounded += step;
-        assert!(self.bounded <= Clock::STEP);
+        assert!(self.bounded <= Clock::MAX_BOUNDED_STEP);
     }
 
     fn sends(&mut self, before: Timestamp, used: &mut Used) {
         let stamp = self.kept.stamp(&mut self.stamper);
-        reached(stamp.map_err(Refusal::from));
+        reached(stamp.map_err(RejectReason::from));
         reached(stamp);
         let Ok(Stamp { link_id, timestamp }) = stamp else {
             return;
@@ -226,7 +229,7 @@ impl<T: FnMut() -> u64> Run<T> {
         let sync = self.kept.sync();
         let last = self.receiver.last();
         let verdict = self.kept.admit(&mut self.receiver, authentic).map(drop);
-        reached(verdict.map_err(Refusal::from));
+        reached(verdict.map_err(RejectReason::from));
         reached(verdict);
         let after = self.kept.now();
         let off = before.ticks().abs_diff(timestamp.ticks());
@@ -238,16 +241,18 @@ impl<T: FnMut() -> u64> Run<T> {
             let last = used.accepted.replace(timestamp);
             assert!(last.is_none_or(|last| timestamp > last), "accepted twice");
             match sync {
-                Sync::Synced => assert!(off <= Window::LINK.past.max(Window::LINK.ahead)),
-                Sync::Unsynced => {
+                SyncState::Synced => {
+                    assert!(off <= Window::ONE_MINUTE.past.max(Window::ONE_MINUTE.ahead))
+                }
+                SyncState::Unsynced => {
                     assert!(after.ticks().abs_diff(timestamp.ticks()) <= RESERVATION);
                 }
             }
             assert_eq!(self.kept.sync(), sync);
         }
-        if sync == Sync::Synced && off > Window::LINK.past {
-            let refused = [VerifyError::FromFuture, VerifyError::TooOld];
-            assert!(verdict.is_err_and(|error| refused.contains(&error)));
+        if sync == SyncState::Synced && off > Window::ONE_MINUTE.past {
+            let rejected = [VerifyError::FromFuture, VerifyError::TooOld];
+            assert!(verdict.is_err_and(|error| rejected.contains(&error)));
         }
     }
 }

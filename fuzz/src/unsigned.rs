@@ -2,12 +2,12 @@
 
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE};
 use mavlink_signing::{
-    Claim, Frame, FrameRef, KEY_SIZE, RadioStatus, Refuse, SetupSigning, TrustedPort,
+    AllowLink, AllowRadioStatus, Claim, Frame, FrameRef, KEY_SIZE, RejectUnsigned, SetupSigning,
     UnsignedPolicy, VerifyError, accept_unsigned, authenticate, redact_for_log, sign_frame,
     without_trailing_zeros,
 };
 use mavseal_proofs::{setup, unsigned};
-use mavseal_relay::Refusal;
+use mavseal_relay::RejectReason;
 
 use crate::frames::Packaged;
 use crate::input::{Head, Moment, Stamped, input};
@@ -65,16 +65,16 @@ pub fn unsigned_policy(input: &Asked<'_>) {
         message_id: header.message_id,
     });
     let verdict = unsigned::policy_decides(frame, link_id, answer);
-    reached(verdict.map_err(Refusal::from));
+    reached(verdict.map_err(RejectReason::from));
     reached(verdict);
 
-    let trusted_port = TrustedPort {
+    let trusted_port = AllowLink {
         link_id: input.trusted,
     };
     let answers = |claim| input.answers(claim);
     let policy: &dyn UnsignedPolicy = match input.policy % 4 {
-        0 => &Refuse,
-        1 => &RadioStatus,
+        0 => &RejectUnsigned,
+        1 => &AllowRadioStatus,
         2 => &trusted_port,
         _ => &answers,
     };

@@ -1,4 +1,4 @@
-"""A ground station: pymavlink with setup_signing on the signer's secure side.
+"""A ground station: pymavlink with setup_signing on the signer's link side.
 
 Arguments: the TCP port, the key in hexadecimal digits, the link id. Prints what came as JSON.
 """
@@ -24,7 +24,7 @@ link = mavutil.mavlink_connection(
 link.setup_signing(key, sign_outgoing=True, link_id=link_id)
 signing = link.mav.signing
 
-received = {"frames": 0, "signed": 0, "gaps": 0, "refused": 0, "links": []}
+received = {"frames": 0, "signed": 0, "gaps": 0, "rejected": 0, "links": []}
 authentic = []
 acknowledged = []
 last = None
@@ -37,7 +37,7 @@ def receive():
     if message is None:
         sys.exit("nothing comes from the vehicle")
     if message.get_type() == "BAD_DATA":
-        received["refused"] += 1
+        received["rejected"] += 1
         return message
     received["frames"] += 1
     received["signed"] += message.get_signed()

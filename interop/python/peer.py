@@ -51,18 +51,18 @@ def sign(link_id, ticks, sequence, system_id, component_id, number, payload):
 def main():
     receiver = endpoint(0)
     for line in sys.stdin:
-        verb, *words = line.split()
-        if verb == "sizes":
+        command, *words = line.split()
+        if command == "sizes":
             answer = sizes()
-        elif verb == "sign":
+        elif command == "sign":
             answer = sign(*words)
-        elif verb == "restart":
+        elif command == "restart":
             receiver = endpoint(int(words[0]))
             answer = "restarted"
-        elif verb == "accepts":
+        elif command == "accepts":
             frame = bytes.fromhex(words[0])
             got = receiver.parse_buffer(frame) or []
-            # What is refused comes out as data that no message could be made of; then there may be
+            # What is rejected comes out as data that no message could be made of; then there may be
             # something like a frame in its midst.
             first = [one for one in got if frame.startswith(bytes(one.get_msgbuf()))]
             answer = "yes" if any(one.get_type() != "BAD_DATA" for one in first) else "no"

@@ -53,5 +53,5 @@ def open_package(form, key, salt, package):
 VERBS = {"seal": seal, "open": open_package}
 
 for line in sys.stdin:
-    verb, *words = line.split()
-    print(VERBS[verb](*words), flush=True)
+    command, *words = line.split()
+    print(VERBS[command](*words), flush=True)

@@ -1,4 +1,4 @@
-"""A vehicle that cannot sign: pymavlink on the signer's plain side, until its input ends.
+"""A vehicle that cannot sign: pymavlink on the signer's local side, until its input ends.
 
 Argument: the TCP port. Prints the kind of each message that comes, and at the end what it sent and what
 came, as JSON.

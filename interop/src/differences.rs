@@ -53,7 +53,7 @@ const THEIR_CLOCK: &[Row] = &[
 ];
 
 const UNKNOWN_HANDED_ON: &str = "A message that pymavlink does not know comes out as MAVLink_unknown before checksum and \
-    signature are looked at. Without a definition there is no right checksum, so here it is refused.";
+    signature are looked at. Without a definition there is no right checksum, so here it is rejected.";
 
 const PYMAVLINK: &[Row] = &[
     ("message changed to none", &[true], UNKNOWN_HANDED_ON),
@@ -80,7 +80,7 @@ const MAVLINK: &[Row] = &[
         "undefined message, signed with the key",
         &[true],
         "For a message that is not in the dialect the crate takes a CRC_EXTRA of zero, and hands the \
-         raw frame on; here it is refused.",
+         raw frame on; here it is rejected.",
     ),
 ];
 
@@ -91,7 +91,7 @@ const MAVIO_AS_DOCUMENTED: &[Row] = &[(
     SIGNED_THERE,
     &[false],
     "add_signature sets the signed flag after the checksum was made, which covers it: everybody \
-     refuses the frame as damaged.",
+     rejects the frame as damaged.",
 )];
 
 const CUTS_FIRST: &str = "mavio cuts the zeros of a received payload before it computes the checksum, and keeps one \

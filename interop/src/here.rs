@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use mavlink_signing::{
-    Frame, FrameRef, Header, Links, MessageId, SigningKey, Stamp, Standard, Streams,
+    Frame, FrameRef, Header, Links, MessageId, SigningKey, Stamp, Standard, StreamTable,
     TICKS_PER_SECOND, Timestamp, VerifyError, Window, authenticate, sign_frame,
 };
 
@@ -33,20 +33,20 @@ pub(crate) fn at(ticks: u64) -> Result<Timestamp> {
 /// A receiver, and the key that it shares with every peer.
 pub(crate) struct Here {
     key: SigningKey<Standard>,
-    streams: Streams<16>,
+    streams: StreamTable<16>,
 }
 
 impl Here {
     pub(crate) fn new(key: &[u8; 32]) -> Result<Self> {
         Ok(Self {
             key: SigningKey::new(key)?,
-            streams: Streams::new(Links::Any, WINDOW),
+            streams: StreamTable::new(Links::Any, WINDOW),
         })
     }
 
     /// Forgets every frame.
     pub(crate) fn restart(&mut self) {
-        self.streams = Streams::new(Links::Any, WINDOW);
+        self.streams = StreamTable::new(Links::Any, WINDOW);
     }
 
     /// The frame of `order`, its payload taken as it is.

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use mavlink_commsec::{
-    AesGcm, EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, Key, Message, Opener,
-    Sealer, SenderId,
+    AesGcm, EpochCounter, EpochHeader, EpochSenderId, HeaderFormat, Opener, PackageHeader,
+    Plaintext, Sealer, SealingKey, SenderId,
 };
 use rand::{Rng, RngExt, rngs::SmallRng};
 
@@ -19,19 +19,19 @@ const MESSAGES: usize = 1500;
 trait Spoken: HeaderFormat {
     const NAME: &'static str;
     /// An id and a place by chance, not beyond the last ones.
-    fn any(random: &mut SmallRng) -> (Self::Id, Self::Place);
+    fn any(random: &mut SmallRng) -> (Self::Id, Self::Sequence);
     /// Id, epoch and counter, as the peer says them.
-    fn words(id: Self::Id, place: Self::Place) -> String;
-    /// A package sealed here with a sender that is next at `place`, or near it; and where it was.
+    fn words(id: Self::Id, sequence: Self::Sequence) -> String;
+    /// A package sealed here with a sender that is next at `sequence`, or near it; and where it was.
     fn seal(
-        key: Key<AesGcm, Self>,
+        key: SealingKey<AesGcm, Self>,
         id: Self::Id,
-        place: Self::Place,
-        message: &Message,
-    ) -> Result<(Self::Place, Vec<u8>)>;
+        sequence: Self::Sequence,
+        message: &Plaintext,
+    ) -> Result<(Self::Sequence, Vec<u8>)>;
 }
 
-impl Spoken for Header {
+impl Spoken for PackageHeader {
     const NAME: &'static str = "id-counter";
 
     fn any(random: &mut SmallRng) -> (SenderId, u32) {
@@ -42,7 +42,12 @@ impl Spoken for Header {
         format!("{id} 0 {counter}")
     }
 
-    fn seal(key: Key, id: SenderId, counter: u32, message: &Message) -> Result<(u32, Vec<u8>)> {
+    fn seal(
+        key: SealingKey,
+        id: SenderId,
+        counter: u32,
+        message: &Plaintext,
+    ) -> Result<(u32, Vec<u8>)> {
         let package = Sealer::resume(key, id, counter).seal(message)?;
         Ok((counter, package.as_bytes().to_vec()))
     }
@@ -52,11 +57,11 @@ impl Spoken for EpochHeader {
     const NAME: &'static str = "counter-epoch-id";
 
     fn any(random: &mut SmallRng) -> (EpochSenderId, EpochCounter) {
-        let place = EpochCounter {
+        let sequence = EpochCounter {
             epoch: random.random_range(0..u16::MAX),
             counter: random.random_range(1..u32::MAX),
         };
-        (EpochSenderId(random.random()), place)
+        (EpochSenderId(random.random()), sequence)
     }
 
     fn words(id: EpochSenderId, EpochCounter { epoch, counter }: EpochCounter) -> String {
@@ -65,29 +70,29 @@ impl Spoken for EpochHeader {
 
     /// The first package of the epoch, or one of the next.
     fn seal(
-        key: Key<AesGcm, Self>,
+        key: SealingKey<AesGcm, Self>,
         id: EpochSenderId,
-        place: EpochCounter,
-        message: &Message,
+        sequence: EpochCounter,
+        message: &Plaintext,
     ) -> Result<(EpochCounter, Vec<u8>)> {
-        let mut sealer = Sealer::begin(key, id, place.epoch.into())?;
-        for _ in 0..place.counter % 4 {
+        let mut sealer = Sealer::begin(key, id, sequence.epoch.into())?;
+        for _ in 0..sequence.counter % 4 {
             sealer.seal(message)?;
         }
-        let place = sealer.next_place().context("a counter is left")?;
-        Ok((place, sealer.seal(message)?.as_bytes().to_vec()))
+        let sequence = sealer.next_sequence().context("a counter is left")?;
+        Ok((sequence, sealer.seal(message)?.as_bytes().to_vec()))
     }
 }
 
 /// Every package is made by the one and opened by the other, and is the same whoever makes it. Damaged, or
-/// with another key or salt, both refuse it.
+/// with another key or salt, both reject it.
 pub(crate) fn run(python: &Path, random: &mut SmallRng, judge: &mut Judge) -> Result<()> {
     let mut peer = Script::start(python, PEER, "sealed.py", [])?;
     eprintln!("{PEER} {}", peer.version);
     for direction in ["sealed here, opened there", "sealed there, opened here"] {
         judge.begin(PEER, &peer.version, direction, 2 * MESSAGES);
         for _ in 0..MESSAGES {
-            exchange::<Header>(
+            exchange::<PackageHeader>(
                 &mut peer,
                 direction.starts_with("sealed here"),
                 random,
@@ -112,8 +117,8 @@ struct Secret {
 }
 
 impl Secret {
-    fn key<H: HeaderFormat>(&self) -> Result<Key<AesGcm, H>> {
-        Ok(Key::new(&self.key, self.salt)?)
+    fn key<H: HeaderFormat>(&self) -> Result<SealingKey<AesGcm, H>> {
+        Ok(SealingKey::new(&self.key, self.salt)?)
     }
 
     /// Its words in an order.
@@ -132,18 +137,18 @@ fn exchange<H: Spoken>(
         key: random.random(),
         salt: random.random(),
     };
-    let mut message: Message = [0; 80];
+    let mut message: Plaintext = [0; 80];
     random.fill_bytes(&mut message);
-    let (id, mut place) = H::any(random);
+    let (id, mut sequence) = H::any(random);
     let mut made = Vec::new();
     if from_here {
-        (place, made) = H::seal(secret.key()?, id, place, &message)?;
+        (sequence, made) = H::seal(secret.key()?, id, sequence, &message)?;
     }
     let order = format!(
         "seal {} {} {} {}",
         H::NAME,
         secret.words(),
-        H::words(id, place),
+        H::words(id, sequence),
         hex::encode(&message)
     );
     let theirs = hex::decode(&peer.ask(&order)?)?;
@@ -159,13 +164,13 @@ fn exchange<H: Spoken>(
         if from_here {
             let bytes = hex::encode(package);
             let answer = peer.ask(&format!("open {} {} {bytes}", H::NAME, secret.words()))?;
-            let right = format!("{} {}", H::words(id, place), hex::encode(&message));
+            let right = format!("{} {}", H::words(id, sequence), hex::encode(&message));
             return Ok(answer == right);
         }
         let mut opener = Opener::<1, AesGcm, H>::new();
         opener.permit(secret.key()?, &[id])?;
         let right = |opened: mavlink_commsec::Opened<H>| {
-            (opened.sender(), opened.place(), *opened.message()) == (id, place, message)
+            (opened.sender(), opened.sequence(), *opened.plaintext()) == (id, sequence, message)
         };
         Ok(opener.open(package).is_ok_and(right))
     };

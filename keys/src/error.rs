@@ -50,7 +50,7 @@ pub enum KeyFileError {
     Published(u32),
     /// Two senders with one id.
     #[error("id {0} is given twice")]
-    IdTwice(u32),
+    DuplicateId(u32),
     /// A vehicle and a station with one key: what the one seals, the other would take for its own.
     #[error("the vehicle and station {0} have the same key")]
     VehicleKeyShared(u32),

@@ -18,7 +18,7 @@ pub const MAX_STATIONS: usize = 64;
 /// The header of the packages that the keys of a file seal. All of them: under one key, the two would use
 /// nonces twice.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Header {
+pub enum HeaderKind {
     /// `id-counter`: sender and counter, as SMACCMPilot has it.
     #[default]
     IdCounter,
@@ -26,7 +26,7 @@ pub enum Header {
     CounterEpochId,
 }
 
-impl Header {
+impl HeaderKind {
     const ALL: [Self; 2] = [Self::IdCounter, Self::CounterEpochId];
 
     /// What a key file calls it.
@@ -84,7 +84,7 @@ pub struct Exceptions {
 /// A vehicle or a ground station: who it is, and what it seals with. [`Debug`] shows the id alone; the
 /// key is wiped when it is dropped.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Sender {
+pub struct SenderKeys {
     /// Its id in every package.
     pub id: u32,
     /// Its key.
@@ -93,7 +93,7 @@ pub struct Sender {
     pub salt: u32,
 }
 
-impl fmt::Debug for Sender {
+impl fmt::Debug for SenderKeys {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Sender")
             .field("id", &self.id)
@@ -104,9 +104,9 @@ impl fmt::Debug for Sender {
 /// A key file that was checked: one vehicle and its stations, no id twice.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyFile {
-    header: Header,
-    vehicle: Sender,
-    stations: Vec<Sender>,
+    header: HeaderKind,
+    vehicle: SenderKeys,
+    stations: Vec<SenderKeys>,
 }
 
 /// The file as it is written.
@@ -127,7 +127,7 @@ struct WrittenSender {
     salt: u32,
 }
 
-impl TryFrom<WrittenSender> for Sender {
+impl TryFrom<WrittenSender> for SenderKeys {
     type Error = KeyFileError;
 
     fn try_from(written: WrittenSender) -> Result<Self, KeyFileError> {
@@ -168,8 +168,8 @@ impl KeyFile {
     /// [`KeyFileError`], whatever is wrong first.
     pub fn from_toml(text: &str, exceptions: Exceptions) -> Result<Self, KeyFileError> {
         let written: Written = toml::from_str(text).map_err(|error| syntax(text, &error))?;
-        let header = Header::named(&written.header).ok_or(KeyFileError::UnknownHeader)?;
-        let stations = written.stations.into_iter().map(Sender::try_from);
+        let header = HeaderKind::named(&written.header).ok_or(KeyFileError::UnknownHeader)?;
+        let stations = written.stations.into_iter().map(SenderKeys::try_from);
         let file = Self::checked(
             written.vehicle.try_into()?,
             stations.collect::<Result<_, _>>()?,
@@ -188,7 +188,7 @@ impl KeyFile {
     pub fn from_keys_mk(text: &str, exceptions: Exceptions) -> Result<Self, KeyFileError> {
         let mut variables = Variables::read(text)?;
         let mut sender = |id, key, salt| {
-            Ok(Sender {
+            Ok(SenderKeys {
                 id: variables.number(id, MAX_OLD_ID)?,
                 key: variables.key(key)?,
                 salt: variables.number(salt, u32::MAX)?,
@@ -206,15 +206,15 @@ impl KeyFile {
     ///
     /// [`KeyFileError`], whatever is wrong first.
     pub fn checked(
-        vehicle: Sender,
-        stations: Vec<Sender>,
+        vehicle: SenderKeys,
+        stations: Vec<SenderKeys>,
         exceptions: Exceptions,
     ) -> Result<Self, KeyFileError> {
         if !(1..=MAX_STATIONS).contains(&stations.len()) {
             return Err(KeyFileError::StationCount(stations.len()));
         }
         let file = Self {
-            header: Header::default(),
+            header: HeaderKind::default(),
             vehicle,
             stations,
         };
@@ -230,7 +230,7 @@ impl KeyFile {
             }
             for (before, other) in file.senders().take(at).enumerate() {
                 if other.id == sender.id {
-                    return Err(KeyFileError::IdTwice(sender.id));
+                    return Err(KeyFileError::DuplicateId(sender.id));
                 }
                 if other.key != sender.key {
                     continue;
@@ -252,7 +252,7 @@ impl KeyFile {
     /// # Errors
     ///
     /// [`KeyFileError::IdTooLarge`].
-    pub fn with_header(self, header: Header) -> Result<Self, KeyFileError> {
+    pub fn with_header(self, header: HeaderKind) -> Result<Self, KeyFileError> {
         let mut ids = self.senders().map(|sender| sender.id);
         if let Some(id) = ids.find(|id| *id > header.max_id()) {
             return Err(KeyFileError::IdTooLarge(id, header.name()));
@@ -263,24 +263,24 @@ impl KeyFile {
 
     /// The header of all packages.
     #[must_use]
-    pub const fn header(&self) -> Header {
+    pub const fn header(&self) -> HeaderKind {
         self.header
     }
 
     /// The vehicle.
     #[must_use]
-    pub const fn vehicle(&self) -> &Sender {
+    pub const fn vehicle(&self) -> &SenderKeys {
         &self.vehicle
     }
 
     /// The stations: 1 to 64, in the order of the file.
     #[must_use]
-    pub fn stations(&self) -> &[Sender] {
+    pub fn stations(&self) -> &[SenderKeys] {
         &self.stations
     }
 
     /// The vehicle, then the stations.
-    fn senders(&self) -> impl Iterator<Item = &Sender> {
+    fn senders(&self) -> impl Iterator<Item = &SenderKeys> {
         [&self.vehicle].into_iter().chain(&self.stations)
     }
 

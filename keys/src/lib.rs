@@ -1,10 +1,10 @@
 #![doc = include_str!("../README.md")]
 
-mod constants;
 mod error;
 mod file;
-mod make;
+mod generate;
+mod rust_source;
 
-pub use constants::Who;
 pub use error::KeyFileError;
-pub use file::{Exceptions, Header, KeyFile, MAX_STATIONS, Sender};
+pub use file::{Exceptions, HeaderKind, KeyFile, MAX_STATIONS, SenderKeys};
+pub use rust_source::Role;

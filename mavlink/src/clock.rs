@@ -25,7 +25,7 @@ pub fn system_time(payload: &[u8]) -> Option<Timestamp> {
 /// How far a source of time is trusted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Source {
+pub enum TimeSource {
     /// Whoever can change what it says could also change this program: a real-time clock on the board,
     /// the operating system, [`SetupSigning`](crate::SetupSigning)'s `initial_timestamp` that came in on
     /// a trusted port. Sets the clock, forward or back.
@@ -38,20 +38,20 @@ pub enum Source {
 /// Whether a clock knows the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Sync {
-    /// No [trusted](Source::Trusted) source has told it, or too long ago: it keeps near what peers stamp.
+pub enum SyncState {
+    /// No [trusted](TimeSource::Trusted) source has told it, or too long ago: it keeps near what peers stamp.
     Unsynced,
     /// A trusted source has told it, no longer ago than [`Clock::holdover`].
     Synced,
 }
 
 /// The time at one end of a link, counted on a timer from the last moment that somebody told. It goes with
-/// [`Window::LINK`].
+/// [`Window::ONE_MINUTE`].
 ///
 /// | clock | a frame in the window | a frame outside of it |
 /// |---|---|---|
-/// | [`Sync::Synced`] | slews it | is refused, and moves nothing |
-/// | [`Sync::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::LEAP`] and the window ahead, is refused |
+/// | [`SyncState::Synced`] | slews it | is rejected, and moves nothing |
+/// | [`SyncState::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::MAX_STEP`] and the window ahead, is rejected |
 ///
 /// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
 /// the stamp by no more than a crystal may have gained or lost since it was set. A reservation is what the
@@ -59,10 +59,10 @@ pub enum Sync {
 /// would run ahead of everybody by one for each restart.
 ///
 /// An unsynced clock has nothing to hold against a frame. If it held its own time against one, two boards
-/// that had drifted together, or a frame of last week, recorded and played to it, would make it refuse all
+/// that had drifted together, or a frame of last week, recorded and played to it, would make it reject all
 /// honest frames for ever. The price: it cannot tell how long a frame has been on its way, so that order
 /// alone protects it: a recording that it never heard is accepted in its order. And a peer whose clock is
-/// wrong takes it along, by up to a [`Clock::LEAP`]: what it has accepted and stamped it does not go back
+/// wrong takes it along, by up to a [`Clock::MAX_STEP`]: what it has accepted and stamped it does not go back
 /// behind, so that peers with the right time do not hear it, nor it them after a restart, until that time
 /// has come. A board that has a clock to read, or is set on a trusted port, does not pay it.
 ///
@@ -74,7 +74,7 @@ pub struct Clock {
     time: Timestamp,
     since: u64,
     /// Whether a trusted source has told it, when the timer showed `set`.
-    told: bool,
+    synced: bool,
     /// When it was last set, or began; steps and slews are counted from here.
     set: u64,
     /// Ticks that bounded sources have moved it since.
@@ -87,14 +87,14 @@ pub struct Clock {
 impl Clock {
     /// The most that bounded sources move the clock until a trusted one sets it: a second, in ticks of 10
     /// microseconds.
-    pub const STEP: u64 = TICKS_PER_SECOND;
+    pub const MAX_BOUNDED_STEP: u64 = TICKS_PER_SECOND;
 
     /// The most that a frame takes an unsynced clock forward: 365 days, in ticks of 10 microseconds. A board
     /// without a clock that was off for longer is set on a trusted port.
     ///
     /// A clock that shows the first of these days after 2015 has never been told the time, nor heard it:
     /// nothing bounds its first frame.
-    pub const LEAP: u64 = 365 * 24 * 3600 * TICKS_PER_SECOND;
+    pub const MAX_STEP: u64 = 365 * 24 * 3600 * TICKS_PER_SECOND;
 
     /// How wrong a timer on a crystal may be, unless [said otherwise](Clock::drifting): one tick in 2^12,
     /// which is 244 parts in a million.
@@ -107,7 +107,7 @@ impl Clock {
         Self {
             time: earliest,
             since: timer,
-            told: false,
+            synced: false,
             set: timer,
             stepped: 0,
             slewed: 0,
@@ -131,40 +131,40 @@ impl Clock {
 
     /// Whether it knows the time.
     #[must_use]
-    pub const fn sync(&self, timer: u64) -> Sync {
-        if self.told && timer.saturating_sub(self.set) <= self.holdover() {
-            Sync::Synced
+    pub const fn sync(&self, timer: u64) -> SyncState {
+        if self.synced && timer.saturating_sub(self.set) <= self.holdover() {
+            SyncState::Synced
         } else {
-            Sync::Unsynced
+            SyncState::Unsynced
         }
     }
 
     /// How long a trusted source is believed without being asked again: until two such clocks, each as far
-    /// off as it may drift and as far again as peers may have slewed it, are half of [`Window::LINK`] apart.
+    /// off as it may drift and as far again as peers may have slewed it, are half of [`Window::ONE_MINUTE`] apart.
     /// 8 hours and a half on a crystal.
     #[must_use]
     pub const fn holdover(&self) -> u64 {
-        (Window::LINK.past / 8) << self.drift
+        (Window::ONE_MINUTE.past / 8) << self.drift
     }
 
     /// Takes `time` from `source`. Gives the ticks that the clock went forward.
     ///
-    /// A bounded source moves it by [`Clock::STEP`] until a trusted one sets it; no more, however often it is
+    /// A bounded source moves it by [`Clock::MAX_BOUNDED_STEP`] until a trusted one sets it; no more, however often it is
     /// asked. A time behind the clock says nothing, unless a trusted source tells it; [`Timestamp::ZERO`]
     /// never does.
-    pub fn tell(&mut self, source: Source, time: Timestamp, timer: u64) -> u64 {
+    pub fn update(&mut self, source: TimeSource, time: Timestamp, timer: u64) -> u64 {
         if time == Timestamp::ZERO {
             return 0;
         }
         let ahead = time.ticks_since(self.now(timer));
         match source {
-            Source::Trusted => {
+            TimeSource::Trusted => {
                 *self = Self::unsynced(time, timer).drifting(self.drift);
-                self.told = true;
+                self.synced = true;
                 ahead
             }
-            Source::Bounded => {
-                let step = ahead.min(Self::STEP.saturating_sub(self.stepped));
+            TimeSource::Bounded => {
+                let step = ahead.min(Self::MAX_BOUNDED_STEP.saturating_sub(self.stepped));
                 self.time = self.now(timer).saturating_add(step);
                 self.since = timer;
                 self.stepped = self.stepped.saturating_add(step);
@@ -174,28 +174,28 @@ impl Clock {
     }
 
     /// The moment to hold `stamp`, of an authentic frame, against: the time, if the clock knows it;
-    /// otherwise the stamp itself, unless that is more than [`Clock::LEAP`] ahead: then so far ahead.
+    /// otherwise the stamp itself, unless that is more than [`Clock::MAX_STEP`] ahead: then so far ahead.
     #[must_use]
-    pub fn judged_at(&self, stamp: Timestamp, timer: u64) -> Timestamp {
+    pub fn reference_time(&self, stamp: Timestamp, timer: u64) -> Timestamp {
         let now = self.now(timer);
         match self.sync(timer) {
-            Sync::Synced => now,
-            Sync::Unsynced if now.ticks() < Self::LEAP => stamp,
-            Sync::Unsynced => stamp.min(now.saturating_add(Self::LEAP)),
+            SyncState::Synced => now,
+            SyncState::Unsynced if now.ticks() < Self::MAX_STEP => stamp,
+            SyncState::Unsynced => stamp.min(now.saturating_add(Self::MAX_STEP)),
         }
     }
 
     /// Learns from a frame that was accepted.
-    pub fn heard(&mut self, frame: &Verified<'_>, timer: u64) {
+    pub fn on_accepted(&mut self, frame: &Verified<'_>, timer: u64) {
         let stamp = frame.stamp().timestamp;
         let now = self.now(timer);
         match self.sync(timer) {
-            Sync::Unsynced => {
+            SyncState::Unsynced => {
                 let latest = stamp.saturating_add(RESERVATION);
                 self.time = now.clamp(earlier(stamp, RESERVATION), latest);
                 self.since = timer;
             }
-            Sync::Synced => {
+            SyncState::Synced => {
                 let drifted = timer.saturating_sub(self.set) >> self.drift;
                 let most = drifted.saturating_sub(self.slewed);
                 let ahead = stamp.ticks_since(now).min(most);

@@ -4,8 +4,8 @@ use core::fmt;
 
 use crate::field::{MAX_PAYLOAD_SIZE, TIMESTAMP_SIZE};
 use crate::header::MessageId;
-use crate::keeper::NotStored;
 use crate::key::KEY_SIZE;
+use crate::link_clock::NotStored;
 
 /// Why bytes are not a key. The caller is at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +32,7 @@ pub enum SignError {
     /// The frame already carries a signature.
     AlreadySigned,
     /// All 48-bit timestamps of the link have been used; only a new key helps.
-    ClockExhausted,
+    TimestampsExhausted,
     /// A mark above the frame's timestamp cannot be stored. This end's memory is at fault.
     NotStored,
 }
@@ -56,7 +56,7 @@ pub enum ParseError {
     UnknownIncompatFlags(u8),
 }
 
-/// Why a received frame is refused. Nothing has changed in the receiver.
+/// Why a received frame is rejected. Nothing has changed in the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -131,7 +131,7 @@ impl fmt::Display for SignError {
             Self::UnknownMessage(id) => write!(f, "message {id} is not in the dialect"),
             Self::BadChecksum => f.write_str("the frame to sign is damaged: bad checksum"),
             Self::AlreadySigned => f.write_str("the frame is already signed"),
-            Self::ClockExhausted => {
+            Self::TimestampsExhausted => {
                 write!(f, "all timestamps of {TIMESTAMP_SIZE} bytes are used up")
             }
             Self::NotStored => f.write_str("no mark above the timestamp can be stored"),

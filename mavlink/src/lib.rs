@@ -15,6 +15,7 @@
 #[cfg(kani)]
 extern crate kani;
 
+mod anti_replay;
 mod clock;
 pub mod crc;
 mod decoder;
@@ -23,34 +24,33 @@ mod error;
 pub mod field;
 mod frame;
 mod header;
-mod keeper;
 mod key;
-mod keys;
+mod key_ring;
+mod link_clock;
 mod profile;
-mod replay;
 mod setup;
 mod sign;
-mod streams;
+mod stream_table;
 mod time;
 mod unsigned;
 mod verify;
 
-pub use clock::{Clock, SYSTEM_TIME, Source, Sync, system_time};
+pub use anti_replay::{AntiReplay, ReplayGuard};
+pub use clock::{Clock, SYSTEM_TIME, SyncState, TimeSource, system_time};
 pub use decoder::{DecodeError, Decoder, Mavlink1, Packet, Resync};
 pub use error::{KeyError, ParseError, SetupError, SignError, VerifyError};
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
-pub use keeper::{NotStored, Timekeeper};
 pub use key::{Fingerprint, KEY_SIZE, SigningKey, passphrase_key};
-pub use keys::{Authenticate, KeyChange, KeyChangeError, KeyStore, Keys, Phase};
+pub use key_ring::{Authenticate, KeyChange, KeyChangeError, KeyRing, KeyStore, RolloverState};
+pub use link_clock::{LinkClock, NotStored};
 pub use profile::{Hmac, Profile, Standard};
-pub use replay::{Admit, Replay};
 pub use setup::{SETUP_SIGNING, SetupSigning, redact_for_log, without_trailing_zeros};
 pub use sign::sign_frame;
-pub use streams::{Links, Stream, Streams};
+pub use stream_table::{Links, Stream, StreamTable};
 pub use time::{RESERVATION, Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
 pub use unsigned::{
-    Claim, RadioStatus, Refuse, TrustedPort, Unsigned, UnsignedPolicy, accept_unsigned,
+    AllowLink, AllowRadioStatus, Claim, RejectUnsigned, Unsigned, UnsignedPolicy, accept_unsigned,
 };
 pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};
 /// What a [`Profile`] promises: it wipes itself when it is dropped.

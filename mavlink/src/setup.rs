@@ -42,7 +42,7 @@ impl SetupSigning {
     ///
     /// Whether the frame is SETUP_SIGNING at all, and for whom, the caller has looked at. A key of zeros
     /// only, which with a timestamp of zero asks the receiver to stop signing, is given as it is:
-    /// [`SigningKey::new`](crate::SigningKey::new) refuses it.
+    /// [`SigningKey::new`](crate::SigningKey::new) rejects it.
     ///
     /// # Errors
     ///

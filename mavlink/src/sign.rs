@@ -10,7 +10,7 @@ use crate::time::Stamp;
 /// and appends link id, timestamp and the 6-byte tag over everything before it.
 ///
 /// `stamp` comes from the link's [`Stamper`](crate::Stamper). Sign when sending, not earlier: the
-/// receiver refuses a frame that has waited longer than its window.
+/// receiver rejects a frame that has waited longer than its window.
 ///
 /// # Errors
 ///

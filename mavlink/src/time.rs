@@ -8,12 +8,12 @@ pub const TICKS_PER_SECOND: u64 = 100_000;
 
 /// How far beyond the timestamps in use a mark is stored at most: 10 seconds, in ticks of 10 microseconds.
 ///
-/// For so long an end may refuse honest frames after a restart; twice as long would wear the flash half as
-/// much. No more than half of [`Window::LINK`]'s `ahead`, so that what is stamped from the mark on is
+/// For so long an end may reject honest frames after a restart; twice as long would wear the flash half as
+/// much. No more than half of [`Window::ONE_MINUTE`]'s `ahead`, so that what is stamped from the mark on is
 /// accepted at once.
 pub const RESERVATION: u64 = 10 * TICKS_PER_SECOND;
 
-const _: () = assert!(RESERVATION <= Window::LINK.ahead / 2);
+const _: () = assert!(RESERVATION <= Window::ONE_MINUTE.ahead / 2);
 
 /// Microseconds in a tick.
 const MICROS_PER_TICK: u64 = 10;
@@ -123,8 +123,8 @@ impl Window {
     /// that this one grew from, hence its name.
     ///
     /// The core's default. It needs a clock that both ends share: a sender whose clock is one tick
-    /// ahead of the receiver's is refused.
-    pub const SEED: Self = Self {
+    /// ahead of the receiver's is rejected.
+    pub const STRICT: Self = Self {
         past: 10 * TICKS_PER_SECOND,
         ahead: 0,
     };
@@ -134,7 +134,7 @@ impl Window {
     /// Past: the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp Handling).
     /// Ahead: for the [`RESERVATION`] that a sender skips at a restart, for bursts, in which stamps run ahead
     /// of the clock by a tick a frame, and for clocks that drift.
-    pub const LINK: Self = Self {
+    pub const ONE_MINUTE: Self = Self {
         past: 60 * TICKS_PER_SECOND,
         ahead: 60 * TICKS_PER_SECOND,
     };
@@ -171,7 +171,7 @@ pub struct Stamp {
 /// frames within a tick get two stamps (MAVLink guide, "Message Signing", Timestamp Handling).
 ///
 /// It is not copied: a copy would give the same stamps again. In a burst it runs ahead of the clock
-/// by a tick a frame, which a receiver with [`Window::SEED`] refuses until its clock has come after.
+/// by a tick a frame, which a receiver with [`Window::STRICT`] rejects until its clock has come after.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Stamper {
     link_id: u8,
@@ -205,7 +205,7 @@ impl Stamper {
     ///
     /// # Errors
     ///
-    /// [`SignError::ClockExhausted`] once 2^48 - 1 has been given: it never wraps.
+    /// [`SignError::TimestampsExhausted`] once 2^48 - 1 has been given: it never wraps.
     pub fn stamp(&mut self, now: Timestamp) -> Result<Stamp, SignError> {
         let stamp = self.next(now)?;
         self.fresh = Fresh::after(stamp.timestamp);
@@ -218,7 +218,7 @@ impl Stamper {
     ///
     /// As [`Stamper::stamp`].
     pub fn next(&self, now: Timestamp) -> Result<Stamp, SignError> {
-        let first = self.fresh.first().ok_or(SignError::ClockExhausted)?;
+        let first = self.fresh.first().ok_or(SignError::TimestampsExhausted)?;
         let timestamp = first.max(now);
         Ok(Stamp {
             link_id: self.link_id,

@@ -25,7 +25,7 @@ pub struct Claim {
 /// Which unsigned frames may be acted on (MAVLink guide, "Message Signing", Accepting Unsigned Packets).
 ///
 /// It is asked about undamaged frames without signature alone: a frame whose signature is wrong or
-/// that was seen before is refused without asking. Any `Fn(Claim) -> bool` is a policy.
+/// that was seen before is rejected without asking. Any `Fn(Claim) -> bool` is a policy.
 pub trait UnsignedPolicy {
     /// Whether a frame that says this of itself may be acted on.
     fn accepts(&self, claim: Claim) -> bool;
@@ -39,9 +39,9 @@ impl<F: Fn(Claim) -> bool> UnsignedPolicy for F {
 
 /// No unsigned frame. The default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Refuse;
+pub struct RejectUnsigned;
 
-impl UnsignedPolicy for Refuse {
+impl UnsignedPolicy for RejectUnsigned {
     fn accepts(&self, _claim: Claim) -> bool {
         false
     }
@@ -51,23 +51,23 @@ impl UnsignedPolicy for Refuse {
 ///
 /// Anybody on the link can send one, and with it slow down a sender that adapts to it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RadioStatus;
+pub struct AllowRadioStatus;
 
-impl UnsignedPolicy for RadioStatus {
+impl UnsignedPolicy for AllowRadioStatus {
     fn accepts(&self, claim: Claim) -> bool {
         claim.message_id == RADIO_STATUS
     }
 }
 
 /// Everything that comes in on one link, which nobody else can reach: a cable. In a relay that is all of
-/// its secure side.
+/// its link side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TrustedPort {
+pub struct AllowLink {
     /// The link, as the receiver numbers it.
     pub link_id: u8,
 }
 
-impl UnsignedPolicy for TrustedPort {
+impl UnsignedPolicy for AllowLink {
     fn accepts(&self, claim: Claim) -> bool {
         claim.link_id == self.link_id
     }

@@ -5,13 +5,13 @@ use core::cell::Cell;
 use critical_section::Mutex;
 use subtle::ConstantTimeEq;
 
+use crate::anti_replay::{ReplayGuard, ReplayState};
 use crate::dialect::crc_extra;
 use crate::error::VerifyError;
 use crate::frame::{Frame, FrameRef, Tag};
 use crate::header::Header;
 use crate::key::SigningKey;
 use crate::profile::Profile;
-use crate::replay::{Replay, ReplayState};
 use crate::time::{Stamp, Timestamp};
 
 /// A frame that was signed with the key, at some time: it may be a replay.
@@ -41,7 +41,7 @@ impl Authentic<'_> {
 /// A frame to act on: signed with the key, for this link, inside the window, and newer than every
 /// frame accepted before.
 ///
-/// Made by [`Replay::admit`] and [`Streams::admit`](crate::Streams::admit) alone, and not copied, so that
+/// Made by [`ReplayGuard::admit`] and [`StreamTable::admit`](crate::StreamTable::admit) alone, and not copied, so that
 /// it is acted on once.
 #[derive(Debug)]
 pub struct Verified<'a>(Authentic<'a>);
@@ -133,9 +133,9 @@ fn same(one: Tag, other: Tag) -> bool {
 /// Replay state that interrupts and threads share; `const`, so it can be a `static`.
 ///
 /// ```
-/// use mavlink_signing::{MavLinkState, Replay, Window};
+/// use mavlink_signing::{MavLinkState, ReplayGuard, Window};
 ///
-/// static UPLINK: MavLinkState = MavLinkState::new(Replay::new(7, Window::SEED));
+/// static UPLINK: MavLinkState = MavLinkState::new(ReplayGuard::new(7, Window::STRICT));
 /// assert_eq!(UPLINK.last(), None);
 /// ```
 #[derive(Debug)]
@@ -144,22 +144,22 @@ pub struct MavLinkState(Mutex<Cell<ReplayState>>);
 impl MavLinkState {
     /// Shares `replay`.
     #[must_use]
-    pub const fn new(replay: Replay) -> Self {
+    pub const fn new(replay: ReplayGuard) -> Self {
         Self(Mutex::new(Cell::new(replay.into_state())))
     }
 
-    /// The timestamp up to which everything is refused; `None` at the start.
+    /// The timestamp up to which everything is rejected; `None` at the start.
     #[must_use]
     pub fn last(&self) -> Option<Timestamp> {
         let state = critical_section::with(|token| self.0.borrow(token).get());
-        Replay::from_state(state).last()
+        ReplayGuard::from_state(state).last()
     }
 
-    /// [`Replay::admit`] in one critical section: two frames with one stamp cannot both pass.
+    /// [`ReplayGuard::admit`] in one critical section: two frames with one stamp cannot both pass.
     fn admit<'a>(&self, frame: Authentic<'a>, now: Timestamp) -> Result<Verified<'a>, VerifyError> {
         critical_section::with(|token| {
             let shared = self.0.borrow(token);
-            let mut replay = Replay::from_state(shared.get());
+            let mut replay = ReplayGuard::from_state(shared.get());
             let verified = replay.admit(frame, now)?;
             shared.set(replay.into_state());
             Ok(verified)
@@ -167,7 +167,7 @@ impl MavLinkState {
     }
 }
 
-/// [`authenticate`], then [`Replay::admit`] in a critical section: the whole verdict on a frame.
+/// [`authenticate`], then [`ReplayGuard::admit`] in a critical section: the whole verdict on a frame.
 ///
 /// The hash is computed outside the critical section. On every error `state` is untouched.
 ///

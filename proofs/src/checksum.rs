@@ -35,7 +35,7 @@ pub fn whole_is_the_fold(covered: &[u8], crc_extra: u8) {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -93,7 +93,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
 
     #[kani::proof]

@@ -2,8 +2,8 @@
 
 use mavlink_commsec::field::{HEADER_SIZE, KEY_SIZE, SALT_SIZE};
 use mavlink_commsec::{
-    Cipher, CipherError, EpochCounter, EpochHeader, EpochSenderId, Header, HeaderFormat, Message,
-    Nonce, OpenError, SenderId, Tag, ZeroizeOnDrop,
+    Cipher, CipherError, EpochCounter, EpochHeader, EpochSenderId, HeaderFormat, Nonce, OpenError,
+    PackageHeader, PackageTag, Plaintext, SenderId, ZeroizeOnDrop,
 };
 
 /// What a [`Told`] cipher says of tags.
@@ -36,7 +36,7 @@ impl Told {
 
     /// The byte at `index` of what comes out of `message`, either way.
     #[must_use]
-    pub fn byte(nonce: &Nonce, message: &Message, tag: &Tag, index: usize) -> u8 {
+    pub fn byte(nonce: &Nonce, message: &Plaintext, tag: &PackageTag, index: usize) -> u8 {
         let mixed = match index {
             0..12 => nonce[index],
             12..20 => tag[index - 12],
@@ -45,7 +45,7 @@ impl Told {
         !message[index] ^ mixed
     }
 
-    fn turn(nonce: &Nonce, message: &mut Message, tag: &Tag) {
+    fn turn(nonce: &Nonce, message: &mut Plaintext, tag: &PackageTag) {
         let before = *message;
         for (index, byte) in message.iter_mut().enumerate() {
             *byte = Self::byte(nonce, &before, tag, index);
@@ -54,7 +54,7 @@ impl Told {
 
     /// The tag that it gives to everything under `nonce`.
     #[must_use]
-    pub fn tag(nonce: &Nonce) -> Tag {
+    pub fn tag(nonce: &Nonce) -> PackageTag {
         let [.., a, b, c, d, e, f, g, h] = *nonce;
         [h, g, f, e, d, c, b, a]
     }
@@ -71,7 +71,7 @@ impl Cipher for Told {
         })
     }
 
-    fn seal(&self, nonce: &Nonce, message: &mut Message) -> Result<Tag, CipherError> {
+    fn seal(&self, nonce: &Nonce, message: &mut Plaintext) -> Result<PackageTag, CipherError> {
         let tag = Self::tag(nonce);
         Self::turn(nonce, message, &tag);
         match self.0 {
@@ -80,7 +80,12 @@ impl Cipher for Told {
         }
     }
 
-    fn open(&self, nonce: &Nonce, message: &mut Message, tag: &Tag) -> Result<(), CipherError> {
+    fn open(
+        &self,
+        nonce: &Nonce,
+        message: &mut Plaintext,
+        tag: &PackageTag,
+    ) -> Result<(), CipherError> {
         Self::turn(nonce, message, tag);
         match self.0 {
             Verdict::Right => Ok(()),
@@ -95,22 +100,22 @@ pub trait Specified: HeaderFormat {
     fn id(number: u32) -> Self::Id;
 
     /// The place with this counter, and with this epoch where there are any.
-    fn place_of(epoch: u16, counter: u32) -> Self::Place;
+    fn place_of(epoch: u16, counter: u32) -> Self::Sequence;
 
     /// What 8 bytes on the wire say.
-    fn read(wire: [u8; HEADER_SIZE]) -> (Self::Id, Self::Place);
+    fn read(wire: [u8; HEADER_SIZE]) -> (Self::Id, Self::Sequence);
 
     /// The 8 bytes on the wire.
-    fn write(id: Self::Id, place: Self::Place) -> [u8; HEADER_SIZE];
+    fn write(id: Self::Id, sequence: Self::Sequence) -> [u8; HEADER_SIZE];
 
-    /// Whether no sender uses `place`, since nothing would be after it.
-    fn never_used(place: Self::Place) -> bool;
+    /// Whether no sender uses `sequence`, since nothing would be after it.
+    fn never_used(sequence: Self::Sequence) -> bool;
 
-    /// That `place` is not after `last`, if it is not.
-    fn is_stale(place: Self::Place, last: Self::Place) -> Option<OpenError>;
+    /// That `sequence` is not after `last`, if it is not.
+    fn is_stale(sequence: Self::Sequence, last: Self::Sequence) -> Option<OpenError>;
 }
 
-impl Specified for Header {
+impl Specified for PackageHeader {
     fn id(number: u32) -> SenderId {
         SenderId(number)
     }
@@ -153,9 +158,9 @@ impl Specified for EpochHeader {
         (EpochSenderId(id), EpochCounter { epoch, counter })
     }
 
-    fn write(id: EpochSenderId, place: EpochCounter) -> [u8; HEADER_SIZE] {
-        let counter = u64::from(place.counter) << 32;
-        let epoch = u64::from(place.epoch) << 16;
+    fn write(id: EpochSenderId, sequence: EpochCounter) -> [u8; HEADER_SIZE] {
+        let counter = u64::from(sequence.counter) << 32;
+        let epoch = u64::from(sequence.epoch) << 16;
         (counter | epoch | u64::from(id.0)).to_be_bytes()
     }
 
@@ -163,18 +168,18 @@ impl Specified for EpochHeader {
         epoch == 0xFFFF || counter == 0xFFFF_FFFF
     }
 
-    fn is_stale(place: EpochCounter, last: EpochCounter) -> Option<OpenError> {
-        let newer =
-            place.epoch > last.epoch || (place.epoch == last.epoch && place.counter > last.counter);
-        (!newer).then_some(OpenError::StaleInEpoch { place, last })
+    fn is_stale(sequence: EpochCounter, last: EpochCounter) -> Option<OpenError> {
+        let newer = sequence.epoch > last.epoch
+            || (sequence.epoch == last.epoch && sequence.counter > last.counter);
+        (!newer).then_some(OpenError::StaleInEpoch { sequence, last })
     }
 }
 
 /// The nonce of a package, by the definition: the salt, then the header as it is sent.
 #[must_use]
-pub fn nonce_of<H: Specified>(salt: u32, id: H::Id, place: H::Place) -> Nonce {
+pub fn nonce_of<H: Specified>(salt: u32, id: H::Id, sequence: H::Sequence) -> Nonce {
     let mut nonce = [0; SALT_SIZE + HEADER_SIZE];
     nonce[..4].copy_from_slice(&salt.to_be_bytes());
-    nonce[4..].copy_from_slice(&H::write(id, place));
+    nonce[4..].copy_from_slice(&H::write(id, sequence));
     nonce
 }

@@ -32,7 +32,7 @@ pub fn round_trip(header: Header, payload: &[u8], index: usize) -> Result<(), Si
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use mavlink_signing::MessageId;
     use proptest::prelude::*;
@@ -69,7 +69,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::set_checksum;
     use mavlink_signing::MessageId;

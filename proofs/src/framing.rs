@@ -1,7 +1,7 @@
 //! F1 and F2: what is framed comes out again, whatever was before; and no frame is empty.
 
 use mavlink_commsec::hx::{
-    BOUNDARY, Decoder, ESCAPE, Frame, MAX_ENCODED_SIZE, MAX_PAYLOAD_SIZE, Tag,
+    Decoder, ESCAPE, FLAG, Frame, FrameKind, MAX_ENCODED_SIZE, MAX_PAYLOAD_SIZE,
 };
 use mavlink_commsec::{DecodeError, FrameError};
 
@@ -14,7 +14,7 @@ use mavlink_commsec::{DecodeError, FrameError};
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn comes_through(decoder: &mut Decoder, tag: Tag, payload: &[u8]) {
+pub fn comes_through(decoder: &mut Decoder, tag: FrameKind, payload: &[u8]) {
     let frame = Frame::new(tag, payload).expect("1 to 100 bytes");
     assert_eq!(frame.payload().len(), payload.len());
     let escaped = payload.iter().filter(|byte| is_special(**byte)).count();
@@ -23,7 +23,7 @@ pub fn comes_through(decoder: &mut Decoder, tag: Tag, payload: &[u8]) {
     let mut count = 0;
     for byte in frame.encode() {
         count += 1;
-        assert_eq!(byte == BOUNDARY, count == 1 || count == size);
+        assert_eq!(byte == FLAG, count == 1 || count == size);
         let outcome = decoder.push(byte);
         if count == size {
             assert_eq!(outcome, Some(Ok(frame)));
@@ -35,7 +35,7 @@ pub fn comes_through(decoder: &mut Decoder, tag: Tag, payload: &[u8]) {
 }
 
 fn is_special(byte: u8) -> bool {
-    byte == BOUNDARY || byte == ESCAPE
+    byte == FLAG || byte == ESCAPE
 }
 
 /// F1 and F2, from any state of the decoder: any byte is taken; a frame comes out with a boundary alone,
@@ -59,18 +59,18 @@ pub fn takes_any(decoder: &mut Decoder, byte: u8) -> Result<Option<usize>, Decod
             assert!((1..=MAX_PAYLOAD_SIZE).contains(&length));
             true
         }
-        Err(DecodeError::Empty | DecodeError::CutEscape) => true,
-        Err(DecodeError::UnknownTag(tag)) => {
+        Err(DecodeError::Empty | DecodeError::TruncatedEscape) => true,
+        Err(DecodeError::UnknownKind(tag)) => {
             assert_eq!(tag, byte);
             assert!(tag > 1);
             false
         }
         Err(_) => false,
     };
-    assert_eq!(with_boundary, byte == BOUNDARY);
+    assert_eq!(with_boundary, byte == FLAG);
     // Behind a boundary there is nothing yet: another one gives nothing.
-    if byte == BOUNDARY {
-        assert!(decoder.push(BOUNDARY).is_none());
+    if byte == FLAG {
+        assert!(decoder.push(FLAG).is_none());
     }
     outcome.map(Some)
 }
@@ -84,7 +84,7 @@ pub fn takes_any(decoder: &mut Decoder, byte: u8) -> Result<Option<usize>, Decod
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn never_empty(tag: Tag, payload: &[u8]) -> Result<(), FrameError> {
+pub fn never_empty(tag: FrameKind, payload: &[u8]) -> Result<(), FrameError> {
     let made = Frame::new(tag, payload);
     match payload.len() {
         0 => assert_eq!(made, Err(FrameError::Empty)),
@@ -92,7 +92,7 @@ pub fn never_empty(tag: Tag, payload: &[u8]) -> Result<(), FrameError> {
         length => assert_eq!(made, Err(FrameError::TooLong(length))),
     }
     made.map(|frame| {
-        assert_eq!(frame.tag(), tag);
+        assert_eq!(frame.kind(), tag);
         assert!(!frame.payload().is_empty());
     })
 }
@@ -109,10 +109,10 @@ pub fn stream(bytes: &[u8]) -> usize {
     let mut outcomes = Vec::new();
     for byte in bytes {
         if let Some(outcome) = decoder.push(*byte) {
-            outcomes.push(outcome.map(|frame| (frame.tag(), frame.payload().to_vec())));
+            outcomes.push(outcome.map(|frame| (frame.kind(), frame.payload().to_vec())));
         }
     }
-    let parts: Vec<&[u8]> = bytes.split(|byte| *byte == BOUNDARY).collect();
+    let parts: Vec<&[u8]> = bytes.split(|byte| *byte == FLAG).collect();
     // What is in front of the first boundary belongs to no frame; what is behind the last has no end.
     let naive: Vec<_> = match parts.as_slice() {
         [_, whole @ .., rest] => {
@@ -126,12 +126,12 @@ pub fn stream(bytes: &[u8]) -> usize {
 }
 
 /// What is between two boundaries, or behind the last one.
-fn naive(part: &[u8], ended: bool) -> Option<Result<(Tag, Vec<u8>), DecodeError>> {
+fn naive(part: &[u8], ended: bool) -> Option<Result<(FrameKind, Vec<u8>), DecodeError>> {
     let (&tag, escaped) = part.split_first()?;
     let tag = match tag {
-        0 => Tag::AirData,
-        1 => Tag::Radio,
-        unknown => return Some(Err(DecodeError::UnknownTag(unknown))),
+        0 => FrameKind::AirData,
+        1 => FrameKind::Radio,
+        unknown => return Some(Err(DecodeError::UnknownKind(unknown))),
     };
     let mut payload = Vec::new();
     let mut bytes = escaped.iter();
@@ -149,20 +149,20 @@ fn naive(part: &[u8], ended: bool) -> Option<Result<(Tag, Vec<u8>), DecodeError>
         return Some(Err(DecodeError::TooLong));
     }
     ended.then_some(match payload.len() {
-        _ if cut => Err(DecodeError::CutEscape),
+        _ if cut => Err(DecodeError::TruncatedEscape),
         0 => Err(DecodeError::Empty),
         _ => Ok((tag, payload)),
     })
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
     /// Bytes among which the special ones are frequent.
     fn byte() -> impl Strategy<Value = u8> {
-        prop_oneof![2 => Just(BOUNDARY), 1 => Just(ESCAPE), 2 => 0..3_u8, 4 => any::<u8>()]
+        prop_oneof![2 => Just(FLAG), 1 => Just(ESCAPE), 2 => 0..3_u8, 4 => any::<u8>()]
     }
 
     proptest! {
@@ -176,7 +176,7 @@ mod twins {
             for byte in before {
                 let _ = takes_any(&mut decoder, byte);
             }
-            let tag = if radio { Tag::Radio } else { Tag::AirData };
+            let tag = if radio { FrameKind::Radio } else { FrameKind::AirData };
             comes_through(&mut decoder, tag, &payload);
         }
 
@@ -195,17 +195,17 @@ mod twins {
 
         #[test]
         fn f2_random(payload in proptest::collection::vec(any::<u8>(), 0..=110)) {
-            let _ = never_empty(Tag::AirData, &payload);
+            let _ = never_empty(FrameKind::AirData, &payload);
         }
     }
 
     #[test]
     fn f1_every_length() {
-        for special in [BOUNDARY, ESCAPE, 0, 1, BOUNDARY ^ 0x20, ESCAPE ^ 0x20] {
+        for special in [FLAG, ESCAPE, 0, 1, FLAG ^ 0x20, ESCAPE ^ 0x20] {
             for length in 1..=MAX_PAYLOAD_SIZE {
                 let mut decoder = Decoder::new();
-                comes_through(&mut decoder, Tag::AirData, &vec![special; length]);
-                comes_through(&mut decoder, Tag::Radio, &vec![special; length]);
+                comes_through(&mut decoder, FrameKind::AirData, &vec![special; length]);
+                comes_through(&mut decoder, FrameKind::Radio, &vec![special; length]);
             }
         }
     }
@@ -213,8 +213,8 @@ mod twins {
     #[test]
     fn f1_too_long_at_every_place() {
         for length in 99..=102 {
-            for cut in [&[BOUNDARY][..], &[ESCAPE, BOUNDARY], &[]] {
-                let bytes = [&[BOUNDARY, 0][..], &vec![5; length], cut].concat();
+            for cut in [&[FLAG][..], &[ESCAPE, FLAG], &[]] {
+                let bytes = [&[FLAG, 0][..], &vec![5; length], cut].concat();
                 let _ = stream(&bytes);
             }
         }
@@ -223,7 +223,7 @@ mod twins {
     #[test]
     fn f2_every_length() {
         for length in 0..=110 {
-            for tag in [Tag::AirData, Tag::Radio] {
+            for tag in [FrameKind::AirData, FrameKind::Radio] {
                 let made = never_empty(tag, &vec![0; length]);
                 assert_eq!(made.is_ok(), (1..=100).contains(&length));
             }
@@ -235,8 +235,7 @@ mod twins {
     fn f2_no_empty_frame_comes_out() {
         for tag in 0..=255 {
             let mut decoder = Decoder::new();
-            let outcomes =
-                [BOUNDARY, tag, BOUNDARY, BOUNDARY].map(|byte| takes_any(&mut decoder, byte));
+            let outcomes = [FLAG, tag, FLAG, FLAG].map(|byte| takes_any(&mut decoder, byte));
             assert!(
                 outcomes
                     .iter()
@@ -247,19 +246,19 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::any_prefix;
 
-    fn any_tag() -> Tag {
+    fn any_tag() -> FrameKind {
         if kani::any() {
-            Tag::AirData
+            FrameKind::AirData
         } else {
-            Tag::Radio
+            FrameKind::Radio
         }
     }
 
-    /// Bytes of payload; longer ones in the twins.
+    /// Bytes of payload; longer ones in the property tests.
     const LENGTH: usize = 3;
 
     #[kani::proof]
@@ -267,7 +266,7 @@ mod harness {
     fn f1_comes_through_3() {
         let payload: [u8; LENGTH] = kani::any();
         comes_through(&mut Decoder::any(), any_tag(), &payload);
-        kani::cover!(payload[0] == BOUNDARY && payload[2] == ESCAPE, "escaped");
+        kani::cover!(payload[0] == FLAG && payload[2] == ESCAPE, "escaped");
     }
 
     #[kani::proof]
@@ -278,8 +277,8 @@ mod harness {
         kani::cover!(outcome == Ok(Some(100)), "the longest frame");
         kani::cover!(outcome == Ok(None) && byte == ESCAPE, "an escape");
         kani::cover!(outcome == Err(DecodeError::TooLong), "too long");
-        kani::cover!(outcome == Err(DecodeError::UnknownTag(7)), "unknown tag");
-        kani::cover!(outcome == Err(DecodeError::CutEscape), "cut escape");
+        kani::cover!(outcome == Err(DecodeError::UnknownKind(7)), "unknown tag");
+        kani::cover!(outcome == Err(DecodeError::TruncatedEscape), "cut escape");
     }
 
     #[kani::proof]
@@ -291,7 +290,7 @@ mod harness {
         kani::cover!(made == Err(FrameError::Empty), "empty");
         kani::cover!(made == Err(FrameError::TooLong(101)), "too long");
         // Nor does one come out.
-        let outcome = takes_any(&mut Decoder::any(), BOUNDARY);
+        let outcome = takes_any(&mut Decoder::any(), FLAG);
         kani::cover!(outcome == Ok(Some(1)), "the shortest frame");
         kani::cover!(outcome == Err(DecodeError::Empty), "an empty one");
     }

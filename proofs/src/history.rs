@@ -1,7 +1,7 @@
 //! R1 and T1 together, over whole histories: what a link accepts, against a naive model.
 
 use mavlink_signing::{
-    Frame, FrameRef, Profile, Replay, SigningKey, Stamper, Timestamp, VerifyError, Window,
+    Frame, FrameRef, Profile, ReplayGuard, SigningKey, Stamper, Timestamp, VerifyError, Window,
     authenticate, sign_frame,
 };
 
@@ -78,7 +78,7 @@ impl Naive {
 }
 
 /// R1 and T1 in every history: the sender's stamps and the receiver's verdicts are those of a naive
-/// model; a frame with a changed bit is refused. Returns how many frames were accepted.
+/// model; a frame with a changed bit is rejected. Returns how many frames were accepted.
 ///
 /// Both clocks begin 10 seconds after `start`; the window takes 10 seconds either way.
 ///
@@ -91,7 +91,7 @@ pub fn history<P: Profile>(key: &SigningKey<P>, start: Timestamp, steps: &[Step]
         ahead: 1_000_000,
     };
     let mut stamper = Stamper::new(1);
-    let mut replay = Replay::new(1, window);
+    let mut replay = ReplayGuard::new(1, window);
     let mut frames = Vec::new();
     let clock = start.saturating_add(1_000_000).ticks() as i64;
     let mut naive = Naive {
@@ -159,7 +159,7 @@ fn which(count: usize, back: u8) -> Option<usize> {
 fn receive<P: Profile>(
     bytes: &[u8],
     key: &SigningKey<P>,
-    replay: &mut Replay,
+    replay: &mut ReplayGuard,
     now: Timestamp,
 ) -> Result<(), VerifyError> {
     let authentic = authenticate(FrameRef::parse(bytes)?, key)?;
@@ -167,7 +167,7 @@ fn receive<P: Profile>(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use mavlink_signing::Hmac;
     use proptest::prelude::*;

@@ -132,7 +132,7 @@ fn padding(at: usize, start: usize, hashed: usize) -> u8 {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use std::cell::RefCell;
 
@@ -285,7 +285,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use core::sync::atomic::{AtomicU8, AtomicU32, AtomicUsize, Ordering::Relaxed};
     use mavlink_signing::{Hmac, Profile, Standard};

@@ -1,9 +1,9 @@
 //! T1 and R3 over a restart: what was used before it is not used after it.
 
 use mavlink_signing::{
-    Admit, Authentic, Frame, FrameRef, Header, Links, NotStored, Profile, Replay, SignError,
-    SigningKey, Stamp, Stamper, Streams, Timekeeper, Timestamp, VerifyError, Window, authenticate,
-    sign_frame,
+    AntiReplay, Authentic, Frame, FrameRef, Header, LinkClock, Links, NotStored, Profile,
+    ReplayGuard, SignError, SigningKey, Stamp, Stamper, StreamTable, Timestamp, VerifyError,
+    Window, authenticate, sign_frame,
 };
 
 use crate::model::Resumed;
@@ -23,7 +23,7 @@ pub struct Model {
     pub heard: u8,
 }
 
-impl Timekeeper for Model {
+impl LinkClock for Model {
     fn now(&mut self) -> Timestamp {
         self.now
     }
@@ -39,7 +39,7 @@ impl Timekeeper for Model {
         Ok(())
     }
 
-    fn heard(&mut self, _: &mavlink_signing::Verified<'_>) {
+    fn on_accepted(&mut self, _: &mavlink_signing::Verified<'_>) {
         self.heard += 1;
     }
 }
@@ -62,7 +62,7 @@ impl Model {
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn stamps<K: Timekeeper>(
+pub fn stamps<K: LinkClock>(
     first: Timestamp,
     keeper: &mut K,
     mark: impl Fn(&K) -> u64,
@@ -77,7 +77,7 @@ pub fn stamps<K: Timekeeper>(
             assert!(mark(keeper) > stamp.timestamp.ticks());
             if let Some(floor) = Timestamp::from_ticks(mark(keeper)) {
                 let mut restarted = Stamper::resume(1, floor);
-                let next = restarted.stamp(after).expect("the first is never refused");
+                let next = restarted.stamp(after).expect("the first is never rejected");
                 assert!(next.timestamp > stamp.timestamp);
             }
             Ok(())
@@ -92,13 +92,13 @@ pub fn stamps<K: Timekeeper>(
 }
 
 /// R3, one step from any state: a frame is accepted only with a mark above its stamp stored, so that a
-/// receiver that starts at the mark, of one stream or of many, refuses it and everything before it, of this
-/// stream and of new ones; what is refused stores nothing and changes nothing; a frame that cannot be
-/// remembered is refused.
+/// receiver that starts at the mark, of one stream or of many, rejects it and everything before it, of this
+/// stream and of new ones; what is rejected stores nothing and changes nothing; a frame that cannot be
+/// remembered is rejected.
 ///
 /// # Errors
 ///
-/// The verdict, where it is a refusal.
+/// The verdict, where it is a rejection.
 ///
 /// # Panics
 ///
@@ -127,11 +127,11 @@ pub fn accepts<P: Profile>(
         Err(error) => {
             assert_eq!(receiver, before.replay());
             assert_eq!(keeper, untouched);
-            let refused = before.replay().check(&authentic(&frame, key), keeper.now);
+            let rejected = before.replay().check(&authentic(&frame, key), keeper.now);
             if error == VerifyError::NotStored {
-                assert!(keeper.broken && refused.is_ok());
+                assert!(keeper.broken && rejected.is_ok());
             } else {
-                assert_eq!(refused, Err(error));
+                assert_eq!(rejected, Err(error));
             }
             return Err(error);
         }
@@ -147,16 +147,16 @@ pub fn accepts<P: Profile>(
                 past: u64::MAX,
                 ahead: u64::MAX,
             };
-            let replay = Replay::resume(stamp.link_id, window, floor);
-            refuses(replay, authentic(&again, key), after);
-            let streams = Streams::<1>::resume(Links::Any, window, floor);
-            refuses(streams, authentic(&again, key), after);
+            let replay = ReplayGuard::resume(stamp.link_id, window, floor);
+            rejects(replay, authentic(&again, key), after);
+            let streams = StreamTable::<1>::resume(Links::Any, window, floor);
+            rejects(streams, authentic(&again, key), after);
         }
     }
     Ok(())
 }
 
-fn refuses(mut receiver: impl Admit, frame: Authentic<'_>, now: Timestamp) {
+fn rejects(mut receiver: impl AntiReplay, frame: Authentic<'_>, now: Timestamp) {
     let verdict = receiver.admit(frame, now).map(drop);
     assert_eq!(verdict, Err(VerifyError::Replayed));
 }
@@ -182,7 +182,7 @@ fn frame_stamp(frame: &Frame) -> Timestamp {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use mavlink_signing::{Hmac, Window};
     use proptest::prelude::*;
@@ -273,7 +273,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::AnyTag;
     use crate::replay::{any_stamp, any_timestamp};

@@ -1,8 +1,8 @@
 //! K1 at one end: what one call does to its keys, from any state of a change.
 
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, KeyChangeError, Keys, Phase, Profile, Replay, SigningKey, Stamp,
-    Timestamp, Window, sign_frame,
+    Authenticate, Frame, FrameRef, KeyChangeError, KeyRing, Profile, ReplayGuard, RolloverState,
+    SigningKey, Stamp, Timestamp, Window, sign_frame,
 };
 
 use crate::HEARTBEAT;
@@ -12,10 +12,10 @@ use crate::keys::{Model, bytes};
 #[derive(Clone, Copy, Debug)]
 pub struct Before {
     /// How far the change has come.
-    pub phase: Phase,
+    pub phase: RolloverState,
     /// The key in use before it.
     pub old: u8,
-    /// The new one; without meaning in [`Phase::Settled`].
+    /// The new one; without meaning in [`RolloverState::Settled`].
     pub new: u8,
     /// A frame with the new one was heard in this phase, and not confirmed yet.
     pub heard: bool,
@@ -40,20 +40,20 @@ impl Before {
     /// The new key, if there is one.
     const fn second(self) -> Option<u8> {
         match self.phase {
-            Phase::Settled => None,
+            RolloverState::Settled => None,
             _ => Some(self.new),
         }
     }
 
     const fn signs(self) -> u8 {
         match self.phase {
-            Phase::Settled | Phase::Offered => self.old,
-            Phase::Applied | Phase::Confirmed => self.new,
+            RolloverState::Settled | RolloverState::Offered => self.old,
+            RolloverState::Applied | RolloverState::Confirmed => self.new,
         }
     }
 
     /// The state after a call: phase, keys; or why there is none. Nothing is stored if it is the same.
-    fn after(self, call: Call) -> Result<(Phase, u8, u8), Refused> {
+    fn after(self, call: Call) -> Result<(RolloverState, u8, u8), Rejected> {
         let Self {
             phase,
             old,
@@ -63,40 +63,48 @@ impl Before {
         let same = Ok((phase, old, new));
         let newest = self.second().unwrap_or(old);
         match call {
-            Call::Offer(0) | Call::Apply(0) => Err(Refused::Key),
+            Call::Offer(0) | Call::Apply(0) => Err(Rejected::Key),
             Call::Offer(key) if key == newest => same,
-            Call::Offer(key) if phase == Phase::Settled => Ok((Phase::Offered, old, key)),
+            Call::Offer(key) if phase == RolloverState::Settled => {
+                Ok((RolloverState::Offered, old, key))
+            }
             // Two ends that were both told to offer it would wait for each other.
-            Call::Apply(key) if key == newest && phase == Phase::Offered => {
-                Ok((Phase::Applied, old, new))
+            Call::Apply(key) if key == newest && phase == RolloverState::Offered => {
+                Ok((RolloverState::Applied, old, new))
             }
             Call::Apply(key) if key == newest => same,
-            Call::Apply(key) if phase == Phase::Settled => Ok((Phase::Applied, old, key)),
-            Call::Apply(key) if phase == Phase::Applied && key == old && !heard => {
-                Ok((Phase::Settled, old, old))
+            Call::Apply(key) if phase == RolloverState::Settled => {
+                Ok((RolloverState::Applied, old, key))
             }
-            Call::Offer(_) | Call::Apply(_) => Err(Refused::UnderWay),
-            Call::Confirm if heard => Ok((Phase::Confirmed, old, new)),
+            Call::Apply(key) if phase == RolloverState::Applied && key == old && !heard => {
+                Ok((RolloverState::Settled, old, old))
+            }
+            Call::Offer(_) | Call::Apply(_) => Err(Rejected::UnderWay),
+            Call::Confirm if heard => Ok((RolloverState::Confirmed, old, new)),
             Call::Confirm => same,
-            Call::Retire if phase == Phase::Confirmed => Ok((Phase::Settled, new, new)),
-            Call::Retire => Err(Refused::NotConfirmed),
-            Call::Withdraw if phase == Phase::Offered && !heard => Ok((Phase::Settled, old, old)),
-            Call::Withdraw => Err(Refused::NotOffered),
+            Call::Retire if phase == RolloverState::Confirmed => {
+                Ok((RolloverState::Settled, new, new))
+            }
+            Call::Retire => Err(Rejected::NotConfirmed),
+            Call::Withdraw if phase == RolloverState::Offered && !heard => {
+                Ok((RolloverState::Settled, old, old))
+            }
+            Call::Withdraw => Err(Rejected::NotOffered),
         }
     }
 }
 
-/// Why a call is refused whatever the memory does.
+/// Why a call is rejected whatever the memory does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Refused {
+enum Rejected {
     Key,
     UnderWay,
     NotConfirmed,
     NotOffered,
 }
 
-/// K1, one call at one end, from any state: it ends in the state that the rule says, or is refused. What is
-/// stored is that state, before it has an effect; if it cannot be stored, or the call is refused, nothing
+/// K1, one call at one end, from any state: it ends in the state that the rule says, or is rejected. What is
+/// stored is that state, before it has an effect; if it cannot be stored, or the call is rejected, nothing
 /// changes. In every state the end signs with the old key until it has heard the new one or was given it, and
 /// accepts each key that it may be sent: the old one until it is retired, the new one until it is given up.
 ///
@@ -104,7 +112,7 @@ enum Refused {
 ///
 /// # Errors
 ///
-/// The refusal.
+/// The rejection.
 ///
 /// # Panics
 ///
@@ -120,10 +128,10 @@ pub fn one_call<P: Profile>(
         new,
         heard,
     } = before;
-    let mut keys = Keys::<P>::resume(key(old), key(new), phase);
+    let mut keys = KeyRing::<P>::resume(key(old), key(new), phase);
     if heard {
         hears(&mut keys, new);
-        assert!(keys.is_heard());
+        assert!(keys.confirm_pending());
     }
     let mut memory = Model::holding(phase, old, new);
     if !stores {
@@ -143,11 +151,11 @@ pub fn one_call<P: Profile>(
         Ok(after) if after == (phase, old, new) => (Ok(()), unchanged),
         Ok(_) if !stores => (Err(None), unchanged),
         Ok(after) => (Ok(()), after),
-        Err(refused) => (Err(Some(refused)), unchanged),
+        Err(rejected) => (Err(Some(rejected)), unchanged),
     };
-    assert_eq!(result.map_err(refusal), expected.0);
+    assert_eq!(result.map_err(rejection), expected.0);
     let (phase, old, new) = expected.1;
-    assert_eq!(keys.phase(), phase);
+    assert_eq!(keys.rollover_state(), phase);
     assert_eq!(memory.stored(), (phase, old, new));
     let after = Before {
         phase,
@@ -167,13 +175,13 @@ pub fn one_call<P: Profile>(
     result
 }
 
-/// The refusal; `None` for a memory that failed.
-fn refusal(error: KeyChangeError) -> Option<Refused> {
+/// The rejection; `None` for a memory that failed.
+fn rejection(error: KeyChangeError) -> Option<Rejected> {
     match error {
-        KeyChangeError::Key(_) => Some(Refused::Key),
-        KeyChangeError::UnderWay => Some(Refused::UnderWay),
-        KeyChangeError::NotConfirmed => Some(Refused::NotConfirmed),
-        KeyChangeError::NotOffered => Some(Refused::NotOffered),
+        KeyChangeError::Key(_) => Some(Rejected::Key),
+        KeyChangeError::UnderWay => Some(Rejected::UnderWay),
+        KeyChangeError::NotConfirmed => Some(Rejected::NotConfirmed),
+        KeyChangeError::NotOffered => Some(Rejected::NotOffered),
         _ => None,
     }
 }
@@ -197,25 +205,25 @@ fn signed<P: Profile>(key: &SigningKey<P>) -> [u8; SIZE] {
     *frame.as_bytes().first_chunk().expect("no payload")
 }
 
-fn accepts<P: Profile>(keys: &Keys<P>, number: u8) -> bool {
+fn accepts<P: Profile>(keys: &KeyRing<P>, number: u8) -> bool {
     let bytes = signed(&key::<P>(number));
     let frame = FrameRef::parse(&bytes).expect("a whole frame");
     keys.authenticate(frame).is_ok()
 }
 
-fn hears<P: Profile>(keys: &mut Keys<P>, number: u8) {
+fn hears<P: Profile>(keys: &mut KeyRing<P>, number: u8) {
     let window = Window { past: 0, ahead: 0 };
     let bytes = signed(&key::<P>(number));
     let frame = FrameRef::parse(&bytes).expect("a whole frame");
     let authentic = keys.authenticate(frame).expect("one of its keys");
-    let verified = Replay::new(1, window).admit(authentic, Timestamp::ZERO);
-    keys.heard(&verified.expect("the first"));
+    let verified = ReplayGuard::new(1, window).admit(authentic, Timestamp::ZERO);
+    keys.on_accepted(&verified.expect("the first"));
 }
 
 /// Every state, with `old` and `new` as they are given.
 #[cfg(any(test, kani))]
 fn states(old: u8, new: u8) -> [Before; 6] {
-    use Phase::{Applied, Confirmed, Offered, Settled};
+    use RolloverState::{Applied, Confirmed, Offered, Settled};
     [
         (Settled, false),
         (Offered, false),
@@ -233,14 +241,14 @@ fn states(old: u8, new: u8) -> [Before; 6] {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::model::AnyTag;
 
     /// Every call in every state; of keys it matters only which are the same.
     #[test]
     fn k1_every_call() {
-        let mut refused = 0;
+        let mut rejected = 0;
         for before in states(1, 2) {
             for number in 0..=3 {
                 let calls = [
@@ -252,17 +260,17 @@ mod twins {
                 ];
                 for call in calls {
                     for stores in [true, false] {
-                        refused += usize::from(one_call::<AnyTag>(before, call, stores).is_err());
+                        rejected += usize::from(one_call::<AnyTag>(before, call, stores).is_err());
                     }
                 }
             }
         }
-        assert!(refused > 0);
+        assert!(rejected > 0);
     }
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::AnyTag;
 
@@ -286,7 +294,7 @@ mod harness {
             fn $name() {
                 let result = any_call::<$state>($call);
                 kani::cover!(result.is_ok(), "done");
-                kani::cover!(result.is_err(), "refused");
+                kani::cover!(result.is_err(), "rejected");
             }
         )*};
     }
@@ -309,17 +317,17 @@ mod harness {
     #[kani::unwind(33)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn k1_takes_no_key_of_zeros() {
-        let refused = any_call::<0>(|_| Call::Apply(0));
-        assert!(matches!(refused, Err(KeyChangeError::Key(_))));
-        kani::cover!(true, "refused");
+        let rejected = any_call::<0>(|_| Call::Apply(0));
+        assert!(matches!(rejected, Err(KeyChangeError::Key(_))));
+        kani::cover!(true, "rejected");
     }
 
     #[kani::proof]
     #[kani::unwind(33)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn k1_retires_no_earlier() {
-        let refused = any_call::<4>(|_| Call::Retire);
-        assert_eq!(refused, Err(KeyChangeError::NotConfirmed));
-        kani::cover!(true, "refused");
+        let rejected = any_call::<4>(|_| Call::Retire);
+        assert_eq!(rejected, Err(KeyChangeError::NotConfirmed));
+        kani::cover!(true, "rejected");
     }
 }

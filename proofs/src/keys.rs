@@ -1,8 +1,9 @@
 //! K1: while a key is changed, never are both ends deaf, and no key is used before it may be.
 
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, KEY_SIZE, KeyChange, KeyChangeError, KeyStore, Keys, NotStored,
-    Phase, Profile, Replay, SigningKey, Stamp, Timestamp, Window, sign_frame,
+    Authenticate, Frame, FrameRef, KEY_SIZE, KeyChange, KeyChangeError, KeyRing, KeyStore,
+    NotStored, Profile, ReplayGuard, RolloverState, SigningKey, Stamp, Timestamp, Window,
+    sign_frame,
 };
 
 use crate::HEARTBEAT;
@@ -45,7 +46,7 @@ pub enum Event {
 /// Where an end keeps its keys.
 pub trait Memory: KeyStore {
     /// The keys after a restart.
-    fn restart<P: Profile>(&mut self) -> Keys<P>;
+    fn restart<P: Profile>(&mut self) -> KeyRing<P>;
 
     /// The next store fails, and may leave a trace.
     fn fail(&mut self, trace: bool);
@@ -62,7 +63,7 @@ pub struct Model {
 
 #[derive(Clone, Copy, Debug)]
 struct Stored {
-    phase: Phase,
+    phase: RolloverState,
     old: u8,
     new: u8,
 }
@@ -73,7 +74,7 @@ impl Model {
     pub const fn new() -> Self {
         Self {
             stored: Stored {
-                phase: Phase::Settled,
+                phase: RolloverState::Settled,
                 old: FIRST,
                 new: FIRST,
             },
@@ -85,16 +86,24 @@ impl Model {
 
 impl Model {
     /// A memory in the middle of a change.
-    pub(crate) const fn holding(phase: Phase, old: u8, new: u8) -> Self {
+    pub(crate) const fn holding(phase: RolloverState, old: u8, new: u8) -> Self {
         let mut model = Self::new();
         model.stored = Stored { phase, old, new };
         model
     }
 
     /// Phase, old and new key; settled, one key is both.
-    pub(crate) fn stored(&self) -> (Phase, u8, u8) {
+    pub(crate) fn stored(&self) -> (RolloverState, u8, u8) {
         let Stored { phase, old, new } = self.stored;
-        (phase, old, if phase == Phase::Settled { old } else { new })
+        (
+            phase,
+            old,
+            if phase == RolloverState::Settled {
+                old
+            } else {
+                new
+            },
+        )
     }
 
     /// The next store fails, and leaves nothing.
@@ -119,22 +128,22 @@ impl KeyStore for Model {
                 new: key[0],
             },
             KeyChange::Confirm => Stored {
-                phase: Phase::Confirmed,
+                phase: RolloverState::Confirmed,
                 old,
                 new,
             },
             KeyChange::Retire => Stored {
-                phase: Phase::Settled,
+                phase: RolloverState::Settled,
                 old: new,
                 new,
             },
             KeyChange::Withdraw => Stored {
-                phase: Phase::Settled,
+                phase: RolloverState::Settled,
                 old,
                 new: old,
             },
         };
-        assert!(phase != Phase::Settled || matches!(change, KeyChange::Begin(..)));
+        assert!(phase != RolloverState::Settled || matches!(change, KeyChange::Begin(..)));
         match self.failing.take() {
             None => {
                 self.stored = next;
@@ -150,11 +159,11 @@ impl KeyStore for Model {
 }
 
 impl Memory for Model {
-    fn restart<P: Profile>(&mut self) -> Keys<P> {
+    fn restart<P: Profile>(&mut self) -> KeyRing<P> {
         self.stored = self.trace.take().unwrap_or(self.stored);
         self.failing = None;
         let Stored { phase, old, new } = self.stored;
-        Keys::resume(key(old), key(new), phase)
+        KeyRing::resume(key(old), key(new), phase)
     }
 
     fn fail(&mut self, trace: bool) {
@@ -182,9 +191,9 @@ struct Sent {
 }
 
 struct End<P, M> {
-    keys: Keys<P>,
+    keys: KeyRing<P>,
     memory: M,
-    receiver: Replay,
+    receiver: ReplayGuard,
     link_id: u8,
     sent: Vec<Sent>,
     /// The highest key that it has been given, or has heard from the other end.
@@ -200,7 +209,7 @@ impl<P: Profile, M: Memory> End<P, M> {
         Self {
             keys: key::<P>(FIRST).into(),
             memory,
-            receiver: Replay::new(3 - link_id, window),
+            receiver: ReplayGuard::new(3 - link_id, window),
             link_id,
             sent: Vec::new(),
             may_use: FIRST,
@@ -231,7 +240,7 @@ impl<P: Profile, M: Memory> End<P, M> {
             return;
         };
         if let Ok(verified) = self.receiver.admit(authentic, Timestamp::ZERO) {
-            self.keys.heard(&verified);
+            self.keys.on_accepted(&verified);
             self.may_use = self.may_use.max(sent.key);
         }
     }
@@ -248,8 +257,8 @@ impl<P: Profile, M: Memory> End<P, M> {
 
 /// K1 in every history: at no moment are both ends deaf to each other; without a withdrawal neither is; the
 /// initiator signs with a new key only when it has heard it, the responder only when it was given it; an old
-/// key is dropped by `Retire` alone, which is refused until the other end was heard with the new one; what is
-/// refused changes nothing. Returns how many changes were brought to their end, at both ends.
+/// key is dropped by `Retire` alone, which is rejected until the other end was heard with the new one; what is
+/// rejected changes nothing. Returns how many changes were brought to their end, at both ends.
 ///
 /// # Panics
 ///
@@ -265,7 +274,8 @@ pub fn change<P: Profile, M: Memory>(memories: [M; 2], events: &[Event]) -> u8 {
     let mut clean = true;
     let mut changes = 0;
     for event in events {
-        let before = [&initiator, &responder].map(|end| (end.keys.phase(), end.signs_with(last)));
+        let before =
+            [&initiator, &responder].map(|end| (end.keys.rollover_state(), end.signs_with(last)));
         let signed = [&initiator, &responder].map(End::frame);
         let result = match *event {
             Event::Offer => {
@@ -284,7 +294,7 @@ pub fn change<P: Profile, M: Memory>(memories: [M; 2], events: &[Event]) -> u8 {
                 Some(at) => {
                     arrived = at;
                     let number = setups[at];
-                    // It may be stored though it is refused.
+                    // It may be stored though it is rejected.
                     responder.may_use = responder.may_use.max(number);
                     responder.keys.apply(&bytes(number), &mut responder.memory)
                 }
@@ -311,10 +321,10 @@ pub fn change<P: Profile, M: Memory>(memories: [M; 2], events: &[Event]) -> u8 {
             }
             Event::Retire(side) => {
                 let end = of(side, &mut initiator, &mut responder).0;
-                let phase = end.keys.phase();
+                let phase = end.keys.rollover_state();
                 let retired = end.keys.retire(&mut end.memory);
                 if retired.is_ok() {
-                    assert_eq!(phase, Phase::Confirmed);
+                    assert_eq!(phase, RolloverState::Confirmed);
                     changes += 1;
                 }
                 retired
@@ -343,9 +353,10 @@ pub fn change<P: Profile, M: Memory>(memories: [M; 2], events: &[Event]) -> u8 {
                 Ok(())
             }
         };
-        let after = [&initiator, &responder].map(|end| (end.keys.phase(), end.signs_with(last)));
+        let after =
+            [&initiator, &responder].map(|end| (end.keys.rollover_state(), end.signs_with(last)));
         if result.is_err() {
-            assert_eq!(before, after, "{event:?} was refused: {result:?}");
+            assert_eq!(before, after, "{event:?} was rejected: {result:?}");
         }
         let deaf = [
             !initiator.accepts(&responder.frame()),
@@ -403,11 +414,11 @@ pub const CHANGE: [Event; 10] = [
 ];
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::model::AnyTag;
     use mavlink_signing::Hmac;
-    use mavseal_relay::{KEYS_SIZE, KeySlots};
+    use mavseal_relay::{FlashKeyStore, KEYS_SIZE};
     use mavseal_store::{
         Region,
         model::{Flash, PAGE_SIZE},
@@ -420,12 +431,12 @@ mod twins {
     };
 
     /// Keys in flash, as an end of a link has them.
-    struct InFlash(Option<KeySlots<Flash<2>>>);
+    struct InFlash(Option<FlashKeyStore<Flash<2>>>);
 
     impl InFlash {
         fn new(chance: u64) -> Self {
             let (mut slots, found) =
-                KeySlots::open::<AnyTag>(Flash::new(chance), REGION).expect("fits");
+                FlashKeyStore::open::<AnyTag>(Flash::new(chance), REGION).expect("fits");
             assert!(found.is_none());
             let _ = slots.provision::<AnyTag>(&bytes(FIRST)).expect("stored");
             Self(Some(slots))
@@ -439,10 +450,10 @@ mod twins {
     }
 
     impl Memory for InFlash {
-        fn restart<P: Profile>(&mut self) -> Keys<P> {
+        fn restart<P: Profile>(&mut self) -> KeyRing<P> {
             let mut flash = self.0.take().expect("there").into_flash();
             flash.restart();
-            let (slots, keys) = KeySlots::open(flash, REGION).expect("fits");
+            let (slots, keys) = FlashKeyStore::open(flash, REGION).expect("fits");
             self.0 = Some(slots);
             keys.expect("a key was stored")
         }
@@ -451,7 +462,7 @@ mod twins {
             let mut flash = self.0.take().expect("there").into_flash();
             // Opening writes the ten words of a record again: inside those of the next one.
             flash.cut_after(13);
-            let (slots, _) = KeySlots::open::<AnyTag>(flash, REGION).expect("fits");
+            let (slots, _) = FlashKeyStore::open::<AnyTag>(flash, REGION).expect("fits");
             self.0 = Some(slots);
         }
     }
@@ -524,7 +535,7 @@ mod twins {
         }
     }
 
-    /// The station that lost its offer, or had it refused, is heard all the same.
+    /// The station that lost its offer, or had it rejected, is heard all the same.
     #[test]
     fn k1_withdrawn() {
         let offered = &CHANGE[..2];

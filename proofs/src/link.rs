@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use mavlink_commsec::hx::{Decoder, Frame, Tag};
-use mavlink_commsec::{Cipher, Credential, EpochHeader, Header, Message, Opener, Sealer};
+use mavlink_commsec::hx::{Decoder, Frame, FrameKind};
+use mavlink_commsec::{Cipher, Credential, EpochHeader, Opener, PackageHeader, Plaintext, Sealer};
 
 use crate::cipher::Specified;
 
@@ -58,11 +58,11 @@ pub trait Linked: Specified {
     fn start<C: Cipher>(own: &Credential<Self::Id>, mark: u64) -> Option<Sealer<C, Self>>;
 
     /// A place as a number that no other has.
-    fn number(place: Self::Place) -> u64;
+    fn number(sequence: Self::Sequence) -> u64;
 }
 
 /// The mark is a counter above all that were used.
-impl Linked for Header {
+impl Linked for PackageHeader {
     fn first_mark(first: u32) -> u64 {
         first.into()
     }
@@ -99,8 +99,8 @@ impl Linked for EpochHeader {
         Sealer::begin(key, own.id, mark).ok()
     }
 
-    fn number(place: Self::Place) -> u64 {
-        place.to_number()
+    fn number(sequence: Self::Sequence) -> u64 {
+        sequence.to_number()
     }
 }
 
@@ -157,11 +157,11 @@ fn peers<H: Specified>(end: usize) -> Vec<Credential<H::Id>> {
 }
 
 impl<C: Cipher, H: Linked> End<C, H> {
-    fn start(end: usize, mark: u64, last: impl Fn(H::Id) -> H::Place) -> Self {
+    fn start(end: usize, mark: u64, last: impl Fn(H::Id) -> H::Sequence) -> Self {
         Self {
             mark,
             sealer: H::start(&credential::<H>(end), mark),
-            opener: Opener::of(&peers::<H>(end), last).expect("there is room"),
+            opener: Opener::from_credentials(&peers::<H>(end), last).expect("there is room"),
             decoder: Decoder::new(),
         }
     }
@@ -177,18 +177,18 @@ impl<C: Cipher, H: Linked> End<C, H> {
     }
 
     /// What is accepted of the packages in `line`: from whom, with which number, and the message.
-    fn receive(&mut self, line: &[u8]) -> Vec<(usize, u64, Message)> {
+    fn receive(&mut self, line: &[u8]) -> Vec<(usize, u64, Plaintext)> {
         let mut accepted = Vec::new();
         for byte in line {
             let Some(Ok(frame)) = self.decoder.push(*byte) else {
                 continue;
             };
-            if frame.tag() != Tag::AirData {
+            if frame.kind() != FrameKind::AirData {
                 continue;
             }
             if let Ok(opened) = self.opener.open(frame.payload()) {
                 let from = (opened.sender().into().0 - VEHICLE) as usize;
-                accepted.push((from, H::number(opened.place()), *opened.message()));
+                accepted.push((from, H::number(opened.sequence()), *opened.plaintext()));
             }
         }
         accepted
@@ -196,7 +196,7 @@ impl<C: Cipher, H: Linked> End<C, H> {
 }
 
 /// The message of the package that is the `number`th of all.
-fn message(number: usize) -> Message {
+fn message(number: usize) -> Plaintext {
     core::array::from_fn(|at| (number * 31 + at) as u8)
 }
 
@@ -214,7 +214,7 @@ fn message(number: usize) -> Message {
 pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
     let mark = H::first_mark(first);
     let mut ends: [End<C, H>; ENDS] =
-        core::array::from_fn(|end| End::start(end, mark, |_| H::BEFORE_ALL));
+        core::array::from_fn(|end| End::start(end, mark, |_| H::ZERO));
     let mut naive = Naive::default();
     let mut lines: Vec<Vec<u8>> = Vec::new();
     for step in steps {
@@ -224,14 +224,14 @@ pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
                 let Some(sealer) = &mut ends[from].sealer else {
                     continue;
                 };
-                let place = sealer.next_place();
+                let sequence = sealer.next_sequence();
                 let sealed = sealer.seal(&message(lines.len()));
-                assert_eq!(sealed.is_ok(), place.is_some());
-                if let (Ok(package), Some(place)) = (sealed, place) {
+                assert_eq!(sealed.is_ok(), sequence.is_some());
+                if let (Ok(package), Some(sequence)) = (sealed, sequence) {
                     // What it was sealed under stands in front of it.
                     let header = package.as_bytes().first_chunk().expect("96 bytes");
-                    assert_eq!(H::read(*header), (credential::<H>(from).id, place));
-                    let number = H::number(place);
+                    assert_eq!(H::read(*header), (credential::<H>(from).id, sequence));
+                    let number = H::number(sequence);
                     assert!(
                         naive.nonces.insert((salt(from), from, number)),
                         "a nonce twice"
@@ -285,11 +285,11 @@ fn which(count: usize, back: u8) -> Option<usize> {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use embedded_storage::nor_flash::NorFlash as _;
     use mavlink_commsec::AesGcm;
-    use mavseal_store::{Mark, Region};
+    use mavseal_store::{HighWaterMark, Region};
 
     use crate::mark::{Cut, Small};
 
@@ -337,7 +337,7 @@ mod twins {
             if seed.is_multiple_of(4) {
                 history::<AesGcm, EpochHeader>(first, &steps)
             } else {
-                history::<AesGcm, Header>(first, &steps)
+                history::<AesGcm, PackageHeader>(first, &steps)
             }
         });
         run.unwrap_or_else(|_| panic!("history {seed}: {first}, {steps:?}"))
@@ -358,7 +358,7 @@ mod twins {
         let send = |from| Step::Send { from };
         let deliver = |back| Step::Deliver { back };
         let check = |steps: &[Step]| {
-            let accepted = history::<AesGcm, Header>(1, steps);
+            let accepted = history::<AesGcm, PackageHeader>(1, steps);
             assert_eq!(history::<AesGcm, EpochHeader>(1, steps), accepted);
             accepted
         };
@@ -380,8 +380,8 @@ mod twins {
         assert_eq!(check(&new), 2);
         // At the end of all counters nothing is sent.
         let last = [send(1), deliver(0), send(1), deliver(0)];
-        assert_eq!(history::<AesGcm, Header>(u32::MAX - 1, &last), 1);
-        assert_eq!(history::<AesGcm, Header>(u32::MAX, &last), 0);
+        assert_eq!(history::<AesGcm, PackageHeader>(u32::MAX - 1, &last), 1);
+        assert_eq!(history::<AesGcm, PackageHeader>(u32::MAX, &last), 0);
         // And none in the epoch behind the last.
         assert_eq!(history::<AesGcm, EpochHeader>(0xFFFE_0000, &new), 1);
         assert_eq!(history::<AesGcm, EpochHeader>(0xFFFF_0000, &last), 0);
@@ -405,7 +405,7 @@ mod twins {
                     after: random.u8(..4),
                     left: random.u32(..).to_le_bytes(),
                 });
-                let Ok(mut mark) = Mark::open(&mut flash, region) else {
+                let Ok(mut mark) = HighWaterMark::open(&mut flash, region) else {
                     failed += 1;
                     continue;
                 };
@@ -416,7 +416,7 @@ mod twins {
                 }
                 let own = credential::<EpochHeader>(0);
                 let sealer = EpochHeader::start::<AesGcm>(&own, epoch).expect("an epoch is left");
-                assert!(used.insert(sealer.next_place().expect("a counter is left").epoch));
+                assert!(used.insert(sealer.next_sequence().expect("a counter is left").epoch));
                 begun += 1;
             }
         }
@@ -432,7 +432,7 @@ mod twins {
         for bit in 0..8 * 195 {
             let damage = Step::Damage { back: 0, bit };
             let steps = [Step::Send { from: 0 }, damage, Step::Deliver { back: 0 }];
-            assert_eq!(history::<AesGcm, Header>(1, &steps), 2);
+            assert_eq!(history::<AesGcm, PackageHeader>(1, &steps), 2);
             assert_eq!(history::<AesGcm, EpochHeader>(1, &steps), 2);
         }
     }

@@ -3,7 +3,7 @@
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_erase, check_read, check_write,
 };
-use mavseal_store::{Mark, Region, ReserveError};
+use mavseal_store::{HighWaterMark, Region, ReserveError};
 
 /// Bytes of a word.
 const WORD: usize = 8;
@@ -187,7 +187,7 @@ impl NorFlash for Small {
 }
 
 /// T2, over runs that end wherever the power fails: the mark that a run finds is above every value that was
-/// used in any run before; a value is used only below the mark; the mark is refused only when there is no
+/// used in any run before; a value is used only below the mark; the mark is rejected only when there is no
 /// power, and stays then. A start after the last run finds such a mark too. Returns the last value that
 /// was used, and that mark.
 ///
@@ -204,7 +204,7 @@ pub fn runs(flash: &mut Small, cuts: &[Cut], uses: u8, ahead: u64) -> (Option<u6
     let mut used = None;
     for cut in cuts {
         flash.restart(*cut);
-        let mut mark = Mark::open(&mut *flash, region).expect("the region fits");
+        let mut mark = HighWaterMark::open(&mut *flash, region).expect("the region fits");
         let start = mark.get();
         assert!(used.is_none_or(|used| start > used));
         let mut power = true;
@@ -225,19 +225,21 @@ pub fn runs(flash: &mut Small, cuts: &[Cut], uses: u8, ahead: u64) -> (Option<u6
             }
         }
         let flash = mark.into_flash();
-        assert!(power || !flash.power, "refused under power");
+        assert!(power || !flash.power, "rejected under power");
     }
     flash.restart(Cut {
         after: u8::MAX,
         left: [0; PAGE],
     });
-    let found = Mark::open(flash, region).expect("the region fits").get();
+    let found = HighWaterMark::open(flash, region)
+        .expect("the region fits")
+        .get();
     assert!(used.is_none_or(|used| found > used));
     (used, found)
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -287,7 +289,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
 
     /// A run fills a page with two marks; in the next, the power fails at step `AT`, whatever is left of the

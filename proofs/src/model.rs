@@ -3,7 +3,7 @@
 use core::cell::Cell;
 use core::sync::atomic::{AtomicU16, AtomicUsize, Ordering};
 
-use mavlink_signing::{KEY_SIZE, Profile, Replay, Tag, Timestamp, Window, ZeroizeOnDrop};
+use mavlink_signing::{KEY_SIZE, Profile, ReplayGuard, Tag, Timestamp, Window, ZeroizeOnDrop};
 
 /// A state that a receiver can be resumed in. Unlike the receiver it can be copied, so that what comes
 /// after a step can be compared with what was before.
@@ -13,15 +13,15 @@ pub struct Resumed {
     pub link_id: u8,
     /// How far from the clock frames may be stamped.
     pub window: Window,
-    /// The first timestamp that is not refused as a replay.
+    /// The first timestamp that is not rejected as a replay.
     pub first: Timestamp,
 }
 
 impl Resumed {
     /// The receiver.
     #[must_use]
-    pub const fn replay(self) -> Replay {
-        Replay::resume(self.link_id, self.window, self.first)
+    pub const fn replay(self) -> ReplayGuard {
+        ReplayGuard::resume(self.link_id, self.window, self.first)
     }
 }
 

@@ -14,18 +14,18 @@
 //! ```
 //!
 //! ```compile_fail
-//! use mavlink_commsec::{Header, Message, Opened};
-//! fn opened(header: Header, message: Message) -> Opened { Opened { header, message: message.into() } }
+//! use mavlink_commsec::{PackageHeader, Plaintext, Opened};
+//! fn opened(header: PackageHeader, message: Plaintext) -> Opened { Opened { header, message: message.into() } }
 //! ```
 //!
 //! Messages come from what was opened, not from a package:
 //!
 //! ```
-//! fn act(package: &mavlink_commsec::Opened) -> usize { package.message().len() }
+//! fn act(package: &mavlink_commsec::Opened) -> usize { package.plaintext().len() }
 //! ```
 //!
 //! ```compile_fail
-//! fn act(package: &mavlink_commsec::Package) -> usize { package.message().len() }
+//! fn act(package: &mavlink_commsec::Package) -> usize { package.plaintext().len() }
 //! ```
 //!
 //! What counts once is not copied:
@@ -42,8 +42,8 @@
 //! fn twice(x: mavlink_commsec::Opener<1>) -> [mavlink_commsec::Opener<1>; 2] { [x.clone(), x] }
 //! ```
 
-use mavlink_commsec::field::{HEADER_SIZE, MESSAGE_SIZE, PACKAGE_SIZE, TAG_SIZE};
-use mavlink_commsec::{Cipher, HeaderFormat, Key, OpenError, Opener};
+use mavlink_commsec::field::{HEADER_SIZE, PACKAGE_SIZE, PLAINTEXT_SIZE, TAG_SIZE};
+use mavlink_commsec::{Cipher, HeaderFormat, OpenError, Opener, SealingKey};
 
 use crate::cipher::{Specified, Told, Verdict, nonce_of};
 
@@ -59,13 +59,13 @@ pub struct Row<I, P> {
 }
 
 /// Both senders, as a receiver knows them.
-type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Place>>; 2];
+type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Sequence>>; 2];
 
 /// O1, one step from any state: a package is accepted if and only if it has 96 bytes, its sender is
 /// permitted, its counter (and epoch) is one that senders use, it is newer than the last accepted of him,
 /// his key has not had too many wrong tags, and its tag is right; otherwise the error names the first that
-/// is wrong. What is accepted is then the last of its sender, and the same again is refused; of other
-/// senders nothing changes. What is refused changes nothing, but a wrong tag is counted, once, for everybody
+/// is wrong. What is accepted is then the last of its sender, and the same again is rejected; of other
+/// senders nothing changes. What is rejected changes nothing, but a wrong tag is counted, once, for everybody
 /// who has that key.
 ///
 /// Every history is a sequence of such steps, so each package is accepted at most once in every
@@ -74,7 +74,7 @@ type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Place>>
 ///
 /// # Errors
 ///
-/// The verdict, where it is a refusal.
+/// The verdict, where it is a rejection.
 ///
 /// # Panics
 ///
@@ -94,10 +94,10 @@ pub fn step<C: Cipher, H: Specified>(
     let header = header_of::<H>(package);
     let known = header.is_some_and(|(sender, _)| permitted::<H>(&before, sender).is_some());
     let after = before.map(|row| {
-        let (mut row, (sender, place)) = row.zip(header)?;
+        let (mut row, (sender, sequence)) = row.zip(header)?;
         let his = row.sender == sender;
         if his && verdict.is_ok() {
-            row.last = place;
+            row.last = sequence;
         }
         let has_key = his || (shared && known);
         if has_key && verdict == Err(OpenError::BadTag) {
@@ -108,9 +108,9 @@ pub fn step<C: Cipher, H: Specified>(
     let after = if header.is_some() { after } else { before };
     assert_eq!(rows(opener), after);
 
-    if let (Ok(()), Some((_, place))) = (verdict, header) {
+    if let (Ok(()), Some((_, sequence))) = (verdict, header) {
         let again = opener.open(package).map_err(Some);
-        assert_eq!(again.map(drop), Err(H::is_stale(place, place)));
+        assert_eq!(again.map(drop), Err(H::is_stale(sequence, sequence)));
         assert_eq!(rows(opener), after);
     }
     verdict
@@ -130,13 +130,13 @@ fn rows<C: Cipher, H: Specified>(opener: &Opener<2, C, H>) -> Rows<H> {
     })
 }
 
-fn permitted<H: Specified>(rows: &Rows<H>, sender: H::Id) -> Option<Row<H::Id, H::Place>> {
+fn permitted<H: Specified>(rows: &Rows<H>, sender: H::Id) -> Option<Row<H::Id, H::Sequence>> {
     let [one, two] = rows.map(|row| row.filter(|row| row.sender == sender));
     one.or(two)
 }
 
 /// The header of what has the length of a package: who, and which place.
-fn header_of<H: Specified>(package: &[u8]) -> Option<(H::Id, H::Place)> {
+fn header_of<H: Specified>(package: &[u8]) -> Option<(H::Id, H::Sequence)> {
     let package: &[u8; PACKAGE_SIZE] = package.try_into().ok()?;
     Some(H::read(
         [0, 1, 2, 3, 4, 5, 6, 7].map(|at: usize| package[at]),
@@ -151,17 +151,17 @@ fn specified<H: Specified>(
     right: bool,
 ) -> Result<(), OpenError> {
     let wrong_length = OpenError::WrongLength(package.len());
-    let (sender, place) = header_of::<H>(package).ok_or(wrong_length)?;
+    let (sender, sequence) = header_of::<H>(package).ok_or(wrong_length)?;
     let unknown = OpenError::UnknownSender(sender.into());
     let Row { last, failed, .. } = permitted::<H>(rows, sender).ok_or(unknown)?;
-    if H::never_used(place) {
+    if H::never_used(sequence) {
         return Err(OpenError::NoCounter(sender.into()));
     }
-    if let Some(stale) = H::is_stale(place, last) {
+    if let Some(stale) = H::is_stale(sequence, last) {
         return Err(stale);
     }
     if failed >= limit {
-        return Err(OpenError::KeyWornOut);
+        return Err(OpenError::IntegrityLimitReached);
     }
     if right {
         Ok(())
@@ -183,57 +183,61 @@ fn specified<H: Specified>(
 #[must_use]
 pub fn comes_out<H: Specified>(
     salt: u32,
-    last: H::Place,
+    last: H::Sequence,
     verdict: Verdict,
     package: &[u8; PACKAGE_SIZE],
     at: usize,
 ) -> bool {
-    let key = Key::<Told, H>::new(&Told::key(verdict), salt).expect("a key");
-    let (sender, place) = header_of::<H>(package).expect("96 bytes");
+    let key = SealingKey::<Told, H>::new(&Told::key(verdict), salt).expect("a key");
+    let (sender, sequence) = header_of::<H>(package).expect("96 bytes");
     let mut opener = Opener::<1, Told, H>::new();
     let permitted = opener.resume(key, &[(sender, last)]);
     permitted.expect("there is room");
 
     let opened = opener.open(package);
-    let accepted = verdict == Verdict::Right && is_newer::<H>(place, last);
+    let accepted = verdict == Verdict::Right && is_newer::<H>(sequence, last);
     assert_eq!(opened.is_ok(), accepted);
     let Ok(opened) = opened else { return false };
     assert_eq!(
-        (opened.sender(), opened.place(), opened.counter()),
-        (sender, place, H::counter(place))
+        (opened.sender(), opened.sequence(), opened.counter()),
+        (sender, sequence, H::counter(sequence))
     );
-    let sealed = package[HEADER_SIZE..].first_chunk::<MESSAGE_SIZE>();
+    let sealed = package[HEADER_SIZE..].first_chunk::<PLAINTEXT_SIZE>();
     let tag = package.last_chunk::<TAG_SIZE>().expect("96 bytes");
-    let nonce = nonce_of::<H>(salt, sender, place);
+    let nonce = nonce_of::<H>(salt, sender, sequence);
     let expected = Told::byte(&nonce, sealed.expect("96 bytes"), tag, at);
-    assert_eq!(opened.message()[at], expected);
+    assert_eq!(opened.plaintext()[at], expected);
     true
 }
 
-/// Whether a sender may use `place`, and it is after `last`.
-fn is_newer<H: Specified>(place: H::Place, last: H::Place) -> bool {
-    !H::never_used(place) && H::is_stale(place, last).is_none()
+/// Whether a sender may use `sequence`, and it is after `last`.
+fn is_newer<H: Specified>(sequence: H::Sequence, last: H::Sequence) -> bool {
+    !H::never_used(sequence) && H::is_stale(sequence, last).is_none()
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
-    use mavlink_commsec::{AesGcm, EpochHeader, Header};
+    use mavlink_commsec::{AesGcm, EpochHeader, PackageHeader};
     use proptest::prelude::*;
 
     const KEYS: [[u8; 16]; 2] = [[7; 16], [8; 16]];
 
     /// An epoch and a counter; the epoch counts only where there are any.
-    type Place = (u16, u32);
+    type Sequence = (u16, u32);
 
-    fn place_of<H: Specified>((epoch, counter): Place) -> H::Place {
+    fn place_of<H: Specified>((epoch, counter): Sequence) -> H::Sequence {
         H::place_of(epoch, counter)
     }
 
     /// Senders 5 and 6, with one key or two.
-    fn receiver<H: Specified>(shared: bool, lasts: [Place; 2], limit: u32) -> Opener<2, AesGcm, H> {
+    fn receiver<H: Specified>(
+        shared: bool,
+        lasts: [Sequence; 2],
+        limit: u32,
+    ) -> Opener<2, AesGcm, H> {
         let mut opener = Opener::<2, AesGcm, H>::with_limit(limit);
-        let key = |which: usize| Key::new(&KEYS[which], 9).expect("a key");
+        let key = |which: usize| SealingKey::new(&KEYS[which], 9).expect("a key");
         let [five, six] =
             [(5, lasts[0]), (6, lasts[1])].map(|(id, last)| (H::id(id), place_of::<H>(last)));
         let permitted = if shared {
@@ -248,19 +252,19 @@ mod twins {
     }
 
     /// A package of sender `id`, sealed with one of the keys.
-    fn package<H: Specified>(which: usize, id: u32, place: Place) -> [u8; PACKAGE_SIZE] {
-        let (id, place) = (H::id(id), place_of::<H>(place));
-        let mut message = [3; MESSAGE_SIZE];
-        let tag = AesGcm::new(&KEYS[which]).seal(&nonce_of::<H>(9, id, place), &mut message);
-        let header = H::write(id, place);
+    fn package<H: Specified>(which: usize, id: u32, sequence: Sequence) -> [u8; PACKAGE_SIZE] {
+        let (id, sequence) = (H::id(id), place_of::<H>(sequence));
+        let mut message = [3; PLAINTEXT_SIZE];
+        let tag = AesGcm::new(&KEYS[which]).seal(&nonce_of::<H>(9, id, sequence), &mut message);
+        let header = H::write(id, sequence);
         let parts = [&header[..], &message, &tag.expect("AES does not fail")];
         parts.concat().try_into().expect("96 bytes")
     }
 
     /// Which key, who, epoch and counter, and what is wrong with the package.
-    type Sealed = (usize, u32, Place, u8);
+    type Sealed = (usize, u32, Sequence, u8);
 
-    fn random<H: Specified>(shared: bool, lasts: [Place; 2], limit: u32, packages: &[Sealed]) {
+    fn random<H: Specified>(shared: bool, lasts: [Sequence; 2], limit: u32, packages: &[Sealed]) {
         let mut opener = receiver::<H>(shared, lasts, limit);
         for (which, id, (epoch, counter), fault) in packages {
             let counter = if counter % 3 == 0 {
@@ -293,20 +297,20 @@ mod twins {
                 0..12,
             ),
         ) {
-            random::<Header>(shared, lasts, limit, &packages);
+            random::<PackageHeader>(shared, lasts, limit, &packages);
             random::<EpochHeader>(shared, lasts, limit, &packages);
         }
 
         #[test]
-        fn o2_random(salt: u32, last: Place, bytes: [[u8; 32]; 3], right: bool, fails: bool) {
+        fn o2_random(salt: u32, last: Sequence, bytes: [[u8; 32]; 3], right: bool, fails: bool) {
             let package = std::array::from_fn(|at| bytes[at / 32][at % 32]);
             let verdict = match (right, fails) {
                 (true, _) => Verdict::Right,
                 (false, true) => Verdict::Fails,
                 (false, false) => Verdict::Wrong,
             };
-            for at in 0..MESSAGE_SIZE {
-                let _ = comes_out::<Header>(salt, last.1, verdict, &package, at);
+            for at in 0..PLAINTEXT_SIZE {
+                let _ = comes_out::<PackageHeader>(salt, last.1, verdict, &package, at);
                 let last = place_of::<EpochHeader>(last);
                 let _ = comes_out::<EpochHeader>(salt, last, verdict, &package, at);
             }
@@ -314,11 +318,11 @@ mod twins {
     }
 
     /// Every edge before every other, as last and as next place; one package is genuine.
-    fn edges<H: Specified>(places: &[Place]) {
+    fn edges<H: Specified>(places: &[Sequence]) {
         for last in places {
-            for place in places {
+            for sequence in places {
                 let mut bytes = package::<H>(0, 5, (0, 1)).to_vec();
-                let claimed = place_of::<H>(*place);
+                let claimed = place_of::<H>(*sequence);
                 bytes[..HEADER_SIZE].copy_from_slice(&H::write(H::id(5), claimed));
                 let mut opener = receiver::<H>(true, [*last, (0, 0)], 3);
                 let right = claimed == place_of::<H>((0, 1));
@@ -338,7 +342,7 @@ mod twins {
                 }
                 let genuine = package::<H>(0, 5, (0, 1));
                 let worn = step(&mut opener, limit, shared, &genuine, true);
-                assert_eq!(worn, Err(OpenError::KeyWornOut));
+                assert_eq!(worn, Err(OpenError::IntegrityLimitReached));
             }
         }
     }
@@ -346,21 +350,21 @@ mod twins {
     #[test]
     fn o1_edges() {
         let counters = [0, 1, 2, u32::MAX - 1, u32::MAX];
-        edges::<Header>(&counters.map(|counter| (0, counter)));
+        edges::<PackageHeader>(&counters.map(|counter| (0, counter)));
         let epochs = [0, 1, u16::MAX - 1, u16::MAX];
         let places = epochs.map(|epoch| counters.map(|counter| (epoch, counter)));
         edges::<EpochHeader>(places.as_flattened());
-        wears_out::<Header>();
+        wears_out::<PackageHeader>();
         wears_out::<EpochHeader>();
     }
 
     /// Every other length.
     #[test]
     fn o1_lengths() {
-        let bytes = [(0, 1), (0, 2)].map(|place| package::<Header>(0, 5, place));
+        let bytes = [(0, 1), (0, 2)].map(|sequence| package::<PackageHeader>(0, 5, sequence));
         let bytes = bytes.as_flattened();
         for length in 0..=bytes.len() {
-            let mut opener = receiver::<Header>(true, [(0, 0); 2], 3);
+            let mut opener = receiver::<PackageHeader>(true, [(0, 0); 2], 3);
             let verdict = step(&mut opener, 3, true, &bytes[..length], true);
             assert_eq!(verdict.is_ok(), length == 96);
         }
@@ -369,26 +373,26 @@ mod twins {
     #[test]
     fn o2_edges() {
         let package = std::array::from_fn(|at| at as u8);
-        let (counter, place) = (0x0405_0607, |epoch, counter| {
+        let (counter, sequence) = (0x0405_0607, |epoch, counter| {
             EpochHeader::place_of(epoch, counter)
         });
         for verdict in [Verdict::Right, Verdict::Wrong, Verdict::Fails] {
-            for at in 0..MESSAGE_SIZE {
+            for at in 0..PLAINTEXT_SIZE {
                 for last in [0, counter - 1, counter, counter + 1] {
-                    let out = comes_out::<Header>(1, last, verdict, &package, at);
+                    let out = comes_out::<PackageHeader>(1, last, verdict, &package, at);
                     assert_eq!(out, last < counter && verdict == Verdict::Right);
                 }
                 let (epoch, counter) = (0x0405, 0x0001_0203);
                 for last in [
-                    place(0, 0),
-                    place(epoch - 1, u32::MAX),
-                    place(epoch, counter - 1),
-                    place(epoch, counter),
-                    place(epoch, counter + 1),
-                    place(epoch + 1, 0),
+                    sequence(0, 0),
+                    sequence(epoch - 1, u32::MAX),
+                    sequence(epoch, counter - 1),
+                    sequence(epoch, counter),
+                    sequence(epoch, counter + 1),
+                    sequence(epoch + 1, 0),
                 ] {
                     let out = comes_out::<EpochHeader>(1, last, verdict, &package, at);
-                    let newer = last < place(epoch, counter);
+                    let newer = last < sequence(epoch, counter);
                     assert_eq!(out, newer && verdict == Verdict::Right);
                 }
             }
@@ -397,10 +401,10 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::any_prefix;
-    use mavlink_commsec::{EpochHeader, Header};
+    use mavlink_commsec::{EpochHeader, PackageHeader};
 
     /// Any package at two senders, each with a key of his own and a verdict of its own, or with one key.
     /// Whether the key is shared is known to the solver: the number of keys follows from it.
@@ -414,7 +418,7 @@ mod harness {
         };
         let right: [bool; 2] = kani::any();
         let key = |which: usize| {
-            Key::<Told, H>::new(&Told::key(verdict(right[which])), 9).expect("a key")
+            SealingKey::<Told, H>::new(&Told::key(verdict(right[which])), 9).expect("a key")
         };
         let rows: [(u32, u16, u32); 2] = kani::any();
         let [one, two] = rows.map(|(id, epoch, last)| (H::id(id), H::place_of(epoch, last)));
@@ -441,7 +445,7 @@ mod harness {
         core::mem::forget(opener);
         kani::cover!(verdict.is_ok() && second, "accepted of the second");
         kani::cover!(
-            verdict == Err(OpenError::KeyWornOut) && limit > 0,
+            verdict == Err(OpenError::IntegrityLimitReached) && limit > 0,
             "worn out"
         );
         verdict
@@ -450,13 +454,13 @@ mod harness {
     #[kani::proof]
     #[kani::unwind(81)]
     fn o1_step_own_keys() {
-        covered(any_step::<Header>(false));
+        covered(any_step::<PackageHeader>(false));
     }
 
     #[kani::proof]
     #[kani::unwind(81)]
     fn o1_step_shared_key() {
-        covered(any_step::<Header>(true));
+        covered(any_step::<PackageHeader>(true));
     }
 
     fn covered(verdict: Result<(), OpenError>) {
@@ -481,7 +485,7 @@ mod harness {
         kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(verdict == Err(OpenError::BadTag), "bad tag");
         kani::cover!(
-            matches!(verdict, Err(OpenError::StaleInEpoch { place, last }) if place.counter > last.counter),
+            matches!(verdict, Err(OpenError::StaleInEpoch { sequence, last }) if sequence.counter > last.counter),
             "stale, with a greater counter"
         );
         kani::cover!(
@@ -504,14 +508,14 @@ mod harness {
         let package: [u8; PACKAGE_SIZE] = kani::any();
         let last = H::place_of(kani::any(), kani::any());
         let at = kani::any();
-        kani::assume(at < MESSAGE_SIZE);
+        kani::assume(at < PLAINTEXT_SIZE);
         let out = comes_out::<H>(kani::any(), last, verdict, &package, at);
-        let (_, place) = header_of::<H>(&package).expect("96 bytes");
-        let newer = is_newer::<H>(place, last);
+        let (_, sequence) = header_of::<H>(&package).expect("96 bytes");
+        let newer = is_newer::<H>(sequence, last);
         kani::cover!(out, "accepted");
         kani::cover!(
             !out && newer && verdict == Verdict::Wrong,
-            "decrypted and refused"
+            "decrypted and rejected"
         );
         kani::cover!(!out && !newer && verdict == Verdict::Right, "stale");
     }
@@ -519,7 +523,7 @@ mod harness {
     #[kani::proof]
     #[kani::unwind(97)]
     fn o2_comes_out() {
-        any_comes_out::<Header>();
+        any_comes_out::<PackageHeader>();
     }
 
     #[kani::proof]

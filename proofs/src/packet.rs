@@ -131,7 +131,7 @@ fn read_all(decoder: &mut Decoder, found: &mut Vec<Result<Vec<u8>, DecodeError>>
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use mavlink_signing::Frame;
     use mavlink_signing::dialect::crc_extra;
@@ -212,7 +212,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::{any_prefix, set_checksum};
     use core::sync::atomic::{AtomicU16, Ordering::Relaxed};

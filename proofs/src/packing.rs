@@ -2,8 +2,8 @@
 
 use core::time::Duration;
 
-use mavlink_commsec::field::MESSAGE_SIZE;
-use mavlink_commsec::{Message, PackError, Packer, UnpackError, packets};
+use mavlink_commsec::field::PLAINTEXT_SIZE;
+use mavlink_commsec::{PackError, Packer, Plaintext, UnpackError, packets};
 
 /// What a packer is told when it is made.
 #[derive(Clone, Copy, Debug)]
@@ -11,7 +11,7 @@ pub struct Kind {
     /// Whether it packs for old vehicles: 72 bytes, and MAVLink 1 alone.
     pub old: bool,
     /// How long a packet may wait.
-    pub patience: Duration,
+    pub max_delay: Duration,
 }
 
 impl Kind {
@@ -25,20 +25,20 @@ impl Kind {
     #[must_use]
     pub const fn packer(self) -> Packer {
         if self.old {
-            Packer::for_old_vehicles(self.patience)
+            Packer::legacy(self.max_delay)
         } else {
-            Packer::new(self.patience)
+            Packer::new(self.max_delay)
         }
     }
 
-    /// Why `packet` is refused, in the order in which that is looked for; the length of a first packet in
+    /// Why `packet` is rejected, in the order in which that is looked for; the length of a first packet in
     /// it says where another one begins.
-    fn refuses(self, packet: &[u8]) -> Option<Fault> {
+    fn rejects(self, packet: &[u8]) -> Option<Fault> {
         let Some(length) = announced(packet).filter(|length| *length <= packet.len()) else {
             return Some(Fault::Parse);
         };
         match length {
-            _ if self.old && packet[0] != 0xFE => Some(Fault::OldVehicle),
+            _ if self.old && packet[0] != 0xFE => Some(Fault::LegacyVehicle),
             length if length < packet.len() => Some(Fault::Trailing(packet.len() - length)),
             length if length > self.size() => Some(Fault::TooLong(length)),
             _ => None,
@@ -46,11 +46,11 @@ impl Kind {
     }
 }
 
-/// Why a packet is refused.
+/// Why a packet is rejected.
 #[derive(Debug, PartialEq, Eq)]
 enum Fault {
     Parse,
-    OldVehicle,
+    LegacyVehicle,
     Trailing(usize),
     TooLong(usize),
 }
@@ -59,7 +59,7 @@ impl From<PackError> for Fault {
     fn from(error: PackError) -> Self {
         match error {
             PackError::Parse(_) => Self::Parse,
-            PackError::OldVehicle => Self::OldVehicle,
+            PackError::LegacyVehicle => Self::LegacyVehicle,
             PackError::Trailing(length) => Self::Trailing(length),
             PackError::TooLong(length) => Self::TooLong(length),
             other => unreachable!("{other:?}"),
@@ -68,7 +68,7 @@ impl From<PackError> for Fault {
 }
 
 /// P1: of the packets given to a packer, those that are whole and fit into a message come out of its
-/// messages again, whole, unchanged and in order; every other one is refused with the reason and counted;
+/// messages again, whole, unchanged and in order; every other one is rejected with the reason and counted;
 /// behind the last packet of a message there are zeros alone. A message makes room if and only if the next
 /// packet does not fit into it; when it is asked for, one comes if and only if it holds a HEARTBEAT or its
 /// first packet has waited long enough. `polls` says whether the packer is asked after each packet.
@@ -84,13 +84,13 @@ pub fn packed(kind: Kind, given: &[(&[u8], Duration)], polls: bool) -> usize {
     let mut packer = kind.packer();
     let mut messages = Vec::new();
     let mut fitting = Vec::new();
-    let mut refused = 0;
+    let mut rejected = 0;
     // Of what is pending: bytes, since when, and whether a HEARTBEAT is among it.
     let (mut bytes, mut since, mut due) = (0, Duration::ZERO, false);
     for (packet, now) in given {
         let pushed = packer.push(packet, *now);
         let fault = pushed.as_ref().err().map(|error| Fault::from(*error));
-        assert_eq!(fault, kind.refuses(packet));
+        assert_eq!(fault, kind.rejects(packet));
         if let Ok(message) = pushed {
             let full = bytes + packet.len() > kind.size();
             assert_eq!(message.is_some(), full);
@@ -105,11 +105,11 @@ pub fn packed(kind: Kind, given: &[(&[u8], Duration)], polls: bool) -> usize {
             messages.extend(message);
             fitting.push(*packet);
         } else {
-            refused += 1;
+            rejected += 1;
         }
         if polls {
             let message = packer.poll(*now);
-            let leaves = bytes > 0 && (due || *now - since >= kind.patience);
+            let leaves = bytes > 0 && (due || *now - since >= kind.max_delay);
             assert_eq!(message.is_some(), leaves);
             if leaves {
                 (bytes, due) = (0, false);
@@ -119,7 +119,7 @@ pub fn packed(kind: Kind, given: &[(&[u8], Duration)], polls: bool) -> usize {
     }
     messages.extend(packer.flush());
     assert_eq!(packer.flush(), None);
-    assert_eq!(packer.refused(), refused);
+    assert_eq!(packer.rejected(), rejected);
     let mut expected = fitting.into_iter();
     for message in &messages {
         let mut end = 0;
@@ -164,7 +164,7 @@ fn announced(packet: &[u8]) -> Option<usize> {
 /// If the property does not hold.
 #[must_use]
 pub fn two_packets(one: &[u8], two: &[u8], at: usize) -> bool {
-    let is_alone = |message: Option<Message>, packet: &[u8]| {
+    let is_alone = |message: Option<Plaintext>, packet: &[u8]| {
         let message = message.expect("a message");
         assert_eq!(message[at], packet.get(at).copied().unwrap_or(0));
     };
@@ -174,7 +174,7 @@ pub fn two_packets(one: &[u8], two: &[u8], at: usize) -> bool {
     let room = packer
         .push(two, Duration::ZERO)
         .expect("it fits into a message");
-    let shared = one.len() + two.len() <= MESSAGE_SIZE;
+    let shared = one.len() + two.len() <= PLAINTEXT_SIZE;
     assert_eq!(room.is_none(), shared);
     if shared {
         let message = packer.flush().expect("both");
@@ -194,12 +194,15 @@ pub fn two_packets(one: &[u8], two: &[u8], at: usize) -> bool {
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn asked_later(packet: &[u8], patience: Duration, later: Duration, at: usize) {
-    let mut packer = Packer::new(patience);
+pub fn asked_later(packet: &[u8], max_delay: Duration, later: Duration, at: usize) {
+    let mut packer = Packer::new(max_delay);
     let pushed = packer.push(packet, Duration::ZERO);
     assert_eq!(pushed, Ok(None));
     let message = packer.poll(later);
-    assert_eq!(message.is_some(), is_heartbeat(packet) || later >= patience);
+    assert_eq!(
+        message.is_some(),
+        is_heartbeat(packet) || later >= max_delay
+    );
     if let Some(message) = message {
         assert_eq!(message[at], packet.get(at).copied().unwrap_or(0));
     }
@@ -221,7 +224,7 @@ fn is_whole(packet: &[u8]) -> bool {
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn unpacked(message: &Message) -> Result<usize, UnpackError> {
+pub fn unpacked(message: &Plaintext) -> Result<usize, UnpackError> {
     let mut found = packets(message);
     let (mut end, mut count) = (0, 0);
     let zeros_to = |end: usize, offset: usize| {
@@ -252,13 +255,13 @@ pub fn unpacked(message: &Message) -> Result<usize, UnpackError> {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
     const KIND: Kind = Kind {
         old: false,
-        patience: Duration::from_secs(1),
+        max_delay: Duration::from_secs(1),
     };
 
     /// A packet, whole or not; ids are small, so that there are heartbeats.
@@ -300,7 +303,7 @@ mod twins {
             polls: bool,
         ) {
             let mut now = Duration::ZERO;
-            let patience = Duration::from_millis(120);
+            let max_delay = Duration::from_millis(120);
             let given: Vec<(&[u8], Duration)> = given
                 .iter()
                 .map(|(packet, wait)| {
@@ -308,7 +311,7 @@ mod twins {
                     (&packet[..], now)
                 })
                 .collect();
-            let _ = packed(Kind { old, patience }, &given, polls);
+            let _ = packed(Kind { old, max_delay }, &given, polls);
         }
 
         #[test]
@@ -362,7 +365,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
 
     /// A MAVLink 1 packet of `N` bytes with any content.
@@ -375,7 +378,7 @@ mod harness {
 
     fn any_index() -> usize {
         let at = kani::any();
-        kani::assume(at < MESSAGE_SIZE);
+        kani::assume(at < PLAINTEXT_SIZE);
         at
     }
 
@@ -401,11 +404,11 @@ mod harness {
     #[kani::unwind(82)]
     fn p1_asked_later() {
         let times: [u32; 2] = kani::any();
-        let [patience, later] = times.map(|seconds| Duration::from_secs(seconds.into()));
+        let [max_delay, later] = times.map(|seconds| Duration::from_secs(seconds.into()));
         let packet = any_packet::<40>();
-        kani::cover!(later < patience && packet[5] == 0, "a heartbeat");
-        kani::cover!(later < patience && packet[5] != 0, "in time");
-        asked_later(&packet, patience, later, any_index());
-        kani::cover!(later >= patience, "waited");
+        kani::cover!(later < max_delay && packet[5] == 0, "a heartbeat");
+        kani::cover!(later < max_delay && packet[5] != 0, "in time");
+        asked_later(&packet, max_delay, later, any_index());
+        kani::cover!(later >= max_delay, "waited");
     }
 }

@@ -3,7 +3,7 @@
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, MAGIC, SIGNATURE_SIZE, SIGNED_FLAG};
 use mavlink_signing::{FrameRef, ParseError};
 
-/// W1: `bytes` are parsed or refused without a panic; a frame is the front of `bytes`, exactly as
+/// W1: `bytes` are parsed or rejected without a panic; a frame is the front of `bytes`, exactly as
 /// long as its header says, and every accessor agrees with the bytes; an error is the first thing
 /// that is wrong. Returns the frame's length.
 ///
@@ -74,7 +74,7 @@ fn first_fault(bytes: &[u8]) -> ParseError {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -114,7 +114,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::{any_prefix, set_checksum};
 

@@ -5,10 +5,10 @@ use std::convert::Infallible;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    DecodeError, Decoder, Frame, Packet, Profile, Replay, Resync, SigningKey, Stamper, Timestamp,
-    Window, dialect,
+    DecodeError, Decoder, Frame, Packet, Profile, ReplayGuard, Resync, SigningKey, Stamper,
+    Timestamp, Window, dialect,
 };
-use mavseal_relay::{Counters, Forward, Handed, Refusal, Relay, Signer, Verifier};
+use mavseal_relay::{Counters, ForwardMode, Forwarded, RejectReason, Relay, Signer, Verifier};
 
 /// The link id of what the relay signs.
 pub const LINK_OUT: u8 = 1;
@@ -19,9 +19,9 @@ pub const LINK_IN: u8 = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "arbitrary", derive(arbitrary::Arbitrary))]
 pub struct Turn {
-    /// Bytes that arrive on the plain and on the secure side.
+    /// Bytes that arrive on the plain and on the link side.
     pub arrive: [u8; 2],
-    /// Bytes that the plain and the secure side take.
+    /// Bytes that the local and the link side take.
     pub room: [u8; 2],
 }
 
@@ -103,27 +103,27 @@ impl Write for Pipe {
 /// If the property does not hold.
 pub fn pipes<P: Profile>(
     keys: impl Fn() -> SigningKey<P>,
-    forward: Forward,
+    forward: ForwardMode,
     now: Timestamp,
-    plain: &[u8],
-    secure: &[u8],
+    local: &[u8],
+    link: &[u8],
     turns: &[Turn],
 ) -> [Counters; 2] {
-    let replay = || Replay::new(LINK_IN, Window::SEED);
+    let replay = || ReplayGuard::new(LINK_IN, Window::STRICT);
     let mut relay =
         Relay::new(keys(), Stamper::new(LINK_OUT), replay(), forward).expect("two link ids");
-    let (mut plain_pipe, mut secure_pipe) = (Pipe::new(plain), Pipe::new(secure));
+    let (mut local_pipe, mut link_pipe) = (Pipe::new(local), Pipe::new(link));
     let mut clock = || now;
     for turn in turns {
-        plain_pipe.turn(turn.arrive[0].into(), turn.room[0].into());
-        secure_pipe.turn(turn.arrive[1].into(), turn.room[1].into());
-        let polled = relay.poll(&mut plain_pipe, &mut secure_pipe, &mut clock, &mut |_| {});
-        assert!(polled.plain_to_secure.is_ok() && polled.secure_to_plain.is_ok());
+        local_pipe.turn(turn.arrive[0].into(), turn.room[0].into());
+        link_pipe.turn(turn.arrive[1].into(), turn.room[1].into());
+        let polled = relay.poll(&mut local_pipe, &mut link_pipe, &mut clock, &mut |_| {});
+        assert!(polled.outbound.is_ok() && polled.inbound.is_ok());
     }
     loop {
-        plain_pipe.turn(usize::MAX, usize::MAX);
-        secure_pipe.turn(usize::MAX, usize::MAX);
-        let polled = relay.poll(&mut plain_pipe, &mut secure_pipe, &mut clock, &mut |_| {});
+        local_pipe.turn(usize::MAX, usize::MAX);
+        link_pipe.turn(usize::MAX, usize::MAX);
+        let polled = relay.poll(&mut local_pipe, &mut link_pipe, &mut clock, &mut |_| {});
         if !polled.moved() {
             break;
         }
@@ -131,25 +131,25 @@ pub fn pipes<P: Profile>(
 
     let key = keys();
     let mut signer = Signer::new(Stamper::new(LINK_OUT));
-    let signed = in_sequence(Resync::AnnouncedEnd, plain, |packet| {
+    let signed = in_sequence(Resync::AnnouncedEnd, local, |packet| {
         signer.sign(packet, &key, &mut { now })
     });
     let mut verifier = Verifier::new(replay(), forward);
-    let verified = in_sequence(Resync::NextByte, secure, |packet| {
+    let verified = in_sequence(Resync::NextByte, link, |packet| {
         match verifier.verify(packet, &mut &key, &mut { now })? {
-            Handed::Verified(frame) => Ok(frame),
-            Handed::Unsigned(_) => panic!("handed on without a policy"),
+            Forwarded::Verified(frame) => Ok(frame),
+            Forwarded::Unsigned(_) => panic!("handed on without a policy"),
         }
     });
-    assert_eq!(secure_pipe.output, signed.output);
-    assert_eq!(plain_pipe.output, verified.output);
-    let counted = [*relay.plain_to_secure(), *relay.secure_to_plain()];
+    assert_eq!(link_pipe.output, signed.output);
+    assert_eq!(local_pipe.output, verified.output);
+    let counted = [*relay.outbound(), *relay.inbound()];
     for (counters, expected) in counted.iter().zip([signed, verified]) {
         assert_eq!(counters.passed(), expected.passed);
         assert_eq!(counters.dropped(), expected.dropped);
-        for (reason, count) in counters.refusals() {
-            let refused = expected.refused.iter().filter(|other| **other == reason);
-            assert_eq!(count as usize, refused.count(), "{reason}");
+        for (reason, count) in counters.rejections() {
+            let rejected = expected.rejected.iter().filter(|other| **other == reason);
+            assert_eq!(count as usize, rejected.count(), "{reason}");
         }
     }
     counted
@@ -160,14 +160,14 @@ pub fn pipes<P: Profile>(
 struct Expected {
     output: Vec<u8>,
     passed: u32,
-    refused: Vec<Refusal>,
+    rejected: Vec<RejectReason>,
     dropped: u32,
 }
 
 fn in_sequence(
     resync: Resync,
     mut stream: &[u8],
-    mut treat: impl FnMut(Packet<'_>) -> Result<Frame, Refusal>,
+    mut treat: impl FnMut(Packet<'_>) -> Result<Frame, RejectReason>,
 ) -> Expected {
     let mut decoder = Decoder::new(resync, dialect::crc_extra);
     let mut expected = Expected::default();
@@ -182,7 +182,7 @@ fn in_sequence(
                     expected.passed += 1;
                     expected.output.extend(frame.as_bytes());
                 }
-                Err(refusal) => expected.refused.push(refusal),
+                Err(rejection) => expected.rejected.push(rejection),
             }
         }
     }
@@ -191,7 +191,7 @@ fn in_sequence(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{Hmac, Stamp, sign_frame};
@@ -240,30 +240,40 @@ mod twins {
 
         #[test]
         fn l1_pipes(
-            plain in stream(),
-            secure in stream(),
+            local in stream(),
+            link in stream(),
             turns in proptest::collection::vec(turn(), 0..40),
             whole: bool,
         ) {
-            let forward = if whole { Forward::Whole } else { Forward::Stripped };
-            pipes(key, forward, at(NOW), &plain, &secure, &turns);
+            let forward = if whole { ForwardMode::KeepSignature } else { ForwardMode::StripSignature };
+            pipes(key, forward, at(NOW), &local, &link, &turns);
         }
     }
 
-    /// What went in signed on the secure side comes out; nothing of it is signed again.
+    /// What went in signed on the link side comes out; nothing of it is signed again.
     #[test]
     fn l1_pipes_pass() {
         let mut frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
-        let plain = frame.as_bytes().to_vec();
+        let local = frame.as_bytes().to_vec();
         let timestamp = at(NOW);
         let stamp = Stamp {
             link_id: LINK_IN,
             timestamp,
         };
         sign_frame(&mut frame, &key(), stamp).expect("signed");
-        let secure = frame.as_bytes().repeat(2);
-        let [out, back] = pipes(key, Forward::Whole, timestamp, &plain, &secure, &[]);
+        let link = frame.as_bytes().repeat(2);
+        let [out, back] = pipes(
+            key,
+            ForwardMode::KeepSignature,
+            timestamp,
+            &local,
+            &link,
+            &[],
+        );
         assert_eq!(out.passed(), 1);
-        assert_eq!((back.passed(), back.refused(Refusal::Replayed)), (1, 1));
+        assert_eq!(
+            (back.passed(), back.rejected(RejectReason::Replayed)),
+            (1, 1)
+        );
     }
 }

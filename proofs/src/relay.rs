@@ -1,18 +1,18 @@
-//! L1: nothing from the secure side is signed; nothing unverified leaves on the plain side.
+//! L1: nothing from the link side is signed; nothing unverified leaves on the local side.
 
 use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::{
     FrameRef, Packet, Profile, SETUP_SIGNING, SigningKey, Stamper, Timestamp, VerifyError,
     authenticate,
 };
-use mavseal_relay::{Forward, Handed, Refusal, Signer, Verifier};
+use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Signer, Verifier};
 
 use crate::model::Resumed;
 
-/// L1, towards the plain side: a packet is handed on only if it is verified, by a receiver in the
-/// same state; unsigned, or byte for byte as received, as `forward` says. Returns the refusal.
+/// L1, towards the local side: a packet is handed on only if it is verified, by a receiver in the
+/// same state; unsigned, or byte for byte as received, as `forward` says. Returns the rejection.
 ///
-/// That the relay gives packets of the secure side to [`Verifier`] alone, which holds no stamper,
+/// That the relay gives packets of the link side to [`Verifier`] alone, which holds no stamper,
 /// is a matter of its types.
 ///
 /// # Errors
@@ -26,65 +26,65 @@ pub fn only_verified_leaves<P: Profile>(
     packet: Packet<'_>,
     key: &SigningKey<P>,
     receiver: Resumed,
-    forward: Forward,
+    forward: ForwardMode,
     now: Timestamp,
     index: usize,
-) -> Result<(), Refusal> {
+) -> Result<(), RejectReason> {
     let handed_on =
         Verifier::new(receiver.replay(), forward).verify(packet, &mut &*key, &mut { now });
     let Packet::Mavlink2(received) = packet else {
-        assert_eq!(handed_on, Err(Refusal::Mavlink1));
-        return Err(Refusal::Mavlink1);
+        assert_eq!(handed_on, Err(RejectReason::Mavlink1));
+        return Err(RejectReason::Mavlink1);
     };
     if received.header().message_id == SETUP_SIGNING {
-        assert_eq!(handed_on, Err(Refusal::SetupSigning));
-        return Err(Refusal::SetupSigning);
+        assert_eq!(handed_on, Err(RejectReason::SetupSigning));
+        return Err(RejectReason::SetupSigning);
     }
     if !received.is_signed() {
-        let refusal = unsigned_refusal(received);
-        assert_eq!(handed_on, Err(refusal));
-        return Err(refusal);
+        let rejection = unsigned_rejection(received);
+        assert_eq!(handed_on, Err(rejection));
+        return Err(rejection);
     }
     let mut replay = receiver.replay();
     let verdict: Result<_, VerifyError> =
         authenticate(received, key).and_then(|authentic| replay.admit(authentic, now));
     match handed_on {
-        Ok(Handed::Unsigned(_)) => panic!("handed on without a policy"),
-        Ok(Handed::Verified(frame)) => {
+        Ok(Forwarded::Unsigned(_)) => panic!("handed on without a policy"),
+        Ok(Forwarded::Verified(frame)) => {
             assert!(verdict.is_ok());
             let (bytes, original) = (frame.as_bytes(), received.as_bytes());
             let same = match forward {
-                Forward::Whole => original.len(),
+                ForwardMode::KeepSignature => original.len(),
                 // All but flag, checksum and signature.
-                Forward::Stripped => {
+                ForwardMode::StripSignature => {
                     assert!(!frame.is_signed());
                     assert_eq!(bytes.len(), original.len() - 13);
                     bytes.len() - 2
                 }
             };
-            if index < same && (index != 2 || forward == Forward::Whole) {
+            if index < same && (index != 2 || forward == ForwardMode::KeepSignature) {
                 assert_eq!(bytes[index], original[index]);
             }
             Ok(())
         }
-        Err(refusal) => {
-            assert_eq!(verdict.err().map(Refusal::from), Some(refusal));
-            Err(refusal)
+        Err(rejection) => {
+            assert_eq!(verdict.err().map(RejectReason::from), Some(rejection));
+            Err(rejection)
         }
     }
 }
 
-/// Why a frame without signature is refused where no policy accepts any.
-fn unsigned_refusal(received: FrameRef<'_>) -> Refusal {
+/// Why a frame without signature is rejected where no policy accepts any.
+fn unsigned_rejection(received: FrameRef<'_>) -> RejectReason {
     match crc_extra(received.header().message_id) {
-        None => Refusal::UnknownMessage,
-        Some(extra) if !received.checksum_matches(extra) => Refusal::BadChecksum,
-        Some(_) => Refusal::NotSigned,
+        None => RejectReason::UnknownMessage,
+        Some(extra) if !received.checksum_matches(extra) => RejectReason::BadChecksum,
+        Some(_) => RejectReason::NotSigned,
     }
 }
 
-/// L1, towards the secure side: a packet is signed only if it is a frame without signature; what
-/// leaves carries the stamper's link id and the same header and payload. Returns the refusal.
+/// L1, towards the link side: a packet is signed only if it is a frame without signature; what
+/// leaves carries the stamper's link id and the same header and payload. Returns the rejection.
 ///
 /// # Errors
 ///
@@ -99,7 +99,7 @@ pub fn only_unsigned_is_signed<P: Profile>(
     stamper: Stamper,
     now: Timestamp,
     index: usize,
-) -> Result<(), Refusal> {
+) -> Result<(), RejectReason> {
     let link_id = stamper.link_id();
     let frame = Signer::new(stamper).sign(packet, key, &mut { now })?;
     let Packet::Mavlink2(received) = packet else {
@@ -120,7 +120,7 @@ pub fn only_unsigned_is_signed<P: Profile>(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{Frame, Hmac, Stamp, Window, sign_frame};
@@ -150,7 +150,7 @@ mod twins {
             let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
             let window = Window { past: 15, ahead: 15 };
             let receiver = Resumed { link_id: 2, window, first: at(times[1]) };
-            let forward = if whole { Forward::Whole } else { Forward::Stripped };
+            let forward = if whole { ForwardMode::KeepSignature } else { ForwardMode::StripSignature };
             for index in 0..frame.as_bytes().len() {
                 let left = only_verified_leaves(packet, &key, receiver, forward, at(times[2]), index);
                 prop_assert!(left.is_err() || (signed && !other_key && link_id == 2));
@@ -169,10 +169,10 @@ mod twins {
         let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
         let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
         let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), at(5), 0);
-        assert_eq!(signing, Err(Refusal::SetupSigning));
+        assert_eq!(signing, Err(RejectReason::SetupSigning));
         let receiver = Resumed {
             link_id: 2,
-            window: Window::SEED,
+            window: Window::STRICT,
             first: Timestamp::ZERO,
         };
         let stamp = Stamp {
@@ -181,8 +181,9 @@ mod twins {
         };
         sign_frame(&mut frame, &key, stamp).expect("signed");
         let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
-        let left = only_verified_leaves(packet, &key, receiver, Forward::Whole, at(5), 0);
-        assert_eq!(left, Err(Refusal::SetupSigning));
+        let left =
+            only_verified_leaves(packet, &key, receiver, ForwardMode::KeepSignature, at(5), 0);
+        assert_eq!(left, Err(RejectReason::SetupSigning));
     }
 
     #[test]
@@ -192,19 +193,19 @@ mod twins {
         let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
         let now = at(5);
         let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), now, 0);
-        assert_eq!(signing, Err(Refusal::Mavlink1));
+        assert_eq!(signing, Err(RejectReason::Mavlink1));
         let receiver = Resumed {
             link_id: 2,
-            window: Window::SEED,
+            window: Window::STRICT,
             first: Timestamp::ZERO,
         };
-        let left = only_verified_leaves(packet, &key, receiver, Forward::Whole, now, 0);
-        assert_eq!(left, Err(Refusal::Mavlink1));
+        let left = only_verified_leaves(packet, &key, receiver, ForwardMode::KeepSignature, now, 0);
+        assert_eq!(left, Err(RejectReason::Mavlink1));
     }
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::{AnyTag, any_prefix, set_checksum};
     use crate::replay::any_timestamp;
@@ -232,16 +233,16 @@ mod harness {
         };
         let whole = kani::any();
         let forward = if whole {
-            Forward::Whole
+            ForwardMode::KeepSignature
         } else {
-            Forward::Stripped
+            ForwardMode::StripSignature
         };
         let (now, index) = (any_timestamp(), kani::any());
         let left = only_verified_leaves(packet, &any_key(), Resumed::any(), forward, now, index);
         kani::cover!(left.is_ok() && whole, "whole");
         kani::cover!(left.is_ok() && !whole, "stripped");
-        kani::cover!(left == Err(Refusal::Replayed), "replayed");
-        kani::cover!(left == Err(Refusal::SetupSigning), "SETUP_SIGNING");
+        kani::cover!(left == Err(RejectReason::Replayed), "replayed");
+        kani::cover!(left == Err(RejectReason::SetupSigning), "SETUP_SIGNING");
     }
 
     fn signs<const SIZE: usize>() {
@@ -254,8 +255,8 @@ mod harness {
         let (now, index) = (any_timestamp(), kani::any());
         let signing = only_unsigned_is_signed(packet, &any_key(), stamper, now, index);
         kani::cover!(signing.is_ok(), "signed");
-        kani::cover!(signing == Err(Refusal::UnknownMessage), "unknown");
-        kani::cover!(signing == Err(Refusal::SetupSigning), "SETUP_SIGNING");
+        kani::cover!(signing == Err(RejectReason::UnknownMessage), "unknown");
+        kani::cover!(signing == Err(RejectReason::SetupSigning), "SETUP_SIGNING");
     }
 
     // The harness's number is the payload's length, the literal the frame's.
@@ -273,7 +274,7 @@ mod harness {
     #[kani::proof]
     #[kani::unwind(33)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
-    fn l1_the_wrong_kind_is_refused() {
+    fn l1_the_wrong_kind_is_rejected() {
         set_checksum(kani::any());
         let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();
         let mavlink1 = kani::any();
@@ -290,13 +291,13 @@ mod harness {
         let (key, now) = (any_key(), any_timestamp());
         if mavlink1 || signed {
             let mut signer = Signer::new(Stamper::resume(kani::any(), any_timestamp()));
-            let refusal = signer.sign(packet, &key, &mut { now }).err();
+            let rejection = signer.sign(packet, &key, &mut { now }).err();
             let expected = if mavlink1 {
-                Refusal::Mavlink1
+                RejectReason::Mavlink1
             } else {
-                Refusal::AlreadySigned
+                RejectReason::AlreadySigned
             };
-            assert_eq!(refusal, Some(expected));
+            assert_eq!(rejection, Some(expected));
             kani::cover!(mavlink1, "MAVLink 1, to be signed");
             kani::cover!(
                 !mavlink1 && bytes.len() == MAX_FRAME_SIZE,
@@ -304,14 +305,14 @@ mod harness {
             );
         }
         if mavlink1 || !signed {
-            let refusal = Verifier::new(Resumed::any().replay(), Forward::Whole)
+            let rejection = Verifier::new(Resumed::any().replay(), ForwardMode::KeepSignature)
                 .verify(packet, &mut &key, &mut { now })
                 .err();
             let expected = match packet {
-                Packet::Mavlink1(_) => Refusal::Mavlink1,
-                Packet::Mavlink2(frame) => unsigned_refusal(frame),
+                Packet::Mavlink1(_) => RejectReason::Mavlink1,
+                Packet::Mavlink2(frame) => unsigned_rejection(frame),
             };
-            assert_eq!(refusal, Some(expected));
+            assert_eq!(rejection, Some(expected));
             kani::cover!(mavlink1, "MAVLink 1, to be verified");
             kani::cover!(!mavlink1, "not signed");
         }

@@ -8,8 +8,8 @@ use crate::HEARTBEAT;
 use crate::model::Resumed;
 
 /// R1, one step from any state: an authentic frame is accepted only for this link, inside the
-/// window and later than the last accepted one, and is then the last; the same frame is refused
-/// the next time; what is refused changes nothing.
+/// window and later than the last accepted one, and is then the last; the same frame is rejected
+/// the next time; what is rejected changes nothing.
 ///
 /// Every history is a sequence of such steps, so accepted timestamps strictly increase in every
 /// history.
@@ -64,7 +64,7 @@ pub(crate) fn any_stamp() -> Stamp {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use mavlink_signing::{Hmac, Window};
     use proptest::prelude::*;
@@ -104,7 +104,7 @@ mod twins {
         for first in moments {
             for stamp in moments {
                 for now in moments {
-                    check(first, 1, Window::SEED, stamp, now);
+                    check(first, 1, Window::STRICT, stamp, now);
                     let all = Window {
                         past: u64::MAX,
                         ahead: u64::MAX,
@@ -117,7 +117,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::AnyTag;
 

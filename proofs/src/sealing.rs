@@ -12,46 +12,46 @@
 //! ```
 //!
 //! ```compile_fail
-//! fn twice(x: mavlink_commsec::Key) -> [mavlink_commsec::Key; 2] { [x.clone(), x] }
+//! fn twice(x: mavlink_commsec::SealingKey) -> [mavlink_commsec::SealingKey; 2] { [x.clone(), x] }
 //! ```
 //!
 //! A key is given to one sealer:
 //!
 //! ```
-//! use mavlink_commsec::{Key, Sealer, SenderId};
-//! fn seals(key: Key) -> Sealer { Sealer::new(key, SenderId(1)) }
+//! use mavlink_commsec::{SealingKey, Sealer, SenderId};
+//! fn seals(key: SealingKey) -> Sealer { Sealer::new(key, SenderId(1)) }
 //! ```
 //!
 //! ```compile_fail
-//! use mavlink_commsec::{Key, Sealer, SenderId};
-//! fn seals(key: &Key) -> Sealer { Sealer::new(key, SenderId(1)) }
+//! use mavlink_commsec::{SealingKey, Sealer, SenderId};
+//! fn seals(key: &SealingKey) -> Sealer { Sealer::new(key, SenderId(1)) }
 //! ```
 //!
 //! ```compile_fail
-//! use mavlink_commsec::{Key, Sealer, SenderId};
-//! fn seals(key: Key) -> [Sealer; 2] { [Sealer::new(key, SenderId(1)), Sealer::new(key, SenderId(1))] }
+//! use mavlink_commsec::{SealingKey, Sealer, SenderId};
+//! fn seals(key: SealingKey) -> [Sealer; 2] { [Sealer::new(key, SenderId(1)), Sealer::new(key, SenderId(1))] }
 //! ```
 //!
 //! A key belongs to one header, and so does what the key file says of a sender: there is no sealer of the
 //! one format with a key of the other, and no list of peers of both.
 //!
 //! ```
-//! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, Key, Sealer};
-//! fn seals(key: Key<AesGcm, EpochHeader>) -> Result<Sealer<AesGcm, EpochHeader>, EpochError> {
+//! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, SealingKey, Sealer};
+//! fn seals(key: SealingKey<AesGcm, EpochHeader>) -> Result<Sealer<AesGcm, EpochHeader>, EpochError> {
 //!     Sealer::begin(key, EpochSenderId(1), 0)
 //! }
 //! ```
 //!
 //! ```compile_fail
-//! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, Key, Sealer};
-//! fn seals(key: Key<AesGcm>) -> Result<Sealer<AesGcm, EpochHeader>, EpochError> {
+//! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, SealingKey, Sealer};
+//! fn seals(key: SealingKey<AesGcm>) -> Result<Sealer<AesGcm, EpochHeader>, EpochError> {
 //!     Sealer::begin(key, EpochSenderId(1), 0)
 //! }
 //! ```
 //!
 //! ```compile_fail
-//! use mavlink_commsec::{AesGcm, EpochHeader, Key, Sealer, SenderId};
-//! fn seals(key: Key<AesGcm, EpochHeader>) -> Sealer { Sealer::new(key, SenderId(1)) }
+//! use mavlink_commsec::{AesGcm, EpochHeader, SealingKey, Sealer, SenderId};
+//! fn seals(key: SealingKey<AesGcm, EpochHeader>) -> Sealer { Sealer::new(key, SenderId(1)) }
 //! ```
 //!
 //! ```
@@ -76,10 +76,10 @@
 //! fn package(bytes: [u8; 96]) -> mavlink_commsec::Package { mavlink_commsec::Package(bytes) }
 //! ```
 
-use mavlink_commsec::field::{HEADER_SIZE, MESSAGE_SIZE};
+use mavlink_commsec::field::{HEADER_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::{
-    EpochCounter, EpochError, EpochHeader, EpochSenderId, Header, Key, Message, Package, SealError,
-    Sealer, SenderId,
+    EpochCounter, EpochError, EpochHeader, EpochSenderId, Package, PackageHeader, Plaintext,
+    SealError, Sealer, SealingKey, SenderId,
 };
 
 use crate::cipher::{Specified, Told, Verdict, nonce_of};
@@ -102,12 +102,12 @@ use crate::cipher::{Specified, Told, Verdict, nonce_of};
 pub fn packages(
     [salt, id, first]: [u32; 3],
     verdict: Verdict,
-    messages: &[Message],
+    messages: &[Plaintext],
     at: usize,
 ) -> Result<u32, SealError> {
-    let key = Key::<Told>::new(&Told::key(verdict), salt).expect("a key");
+    let key = SealingKey::<Told>::new(&Told::key(verdict), salt).expect("a key");
     let sealer = Sealer::resume(key, SenderId(id), first);
-    seals::<Header>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
+    seals::<PackageHeader>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
 }
 
 /// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch; 65,535 and
@@ -125,16 +125,16 @@ pub fn packages_of_epoch(
     id: u16,
     mark: u64,
     verdict: Verdict,
-    messages: &[Message],
+    messages: &[Plaintext],
     at: usize,
 ) -> Result<Result<u32, SealError>, EpochError> {
-    let key = Key::<Told, EpochHeader>::new(&Told::key(verdict), salt).expect("a key");
+    let key = SealingKey::<Told, EpochHeader>::new(&Told::key(verdict), salt).expect("a key");
     let sealer = Sealer::begin(key, EpochSenderId(id), mark);
     assert_eq!(sealer.is_ok(), mark < 0xFFFF);
     let sealer = sealer?;
     let epoch = mark as u16;
     assert_eq!(
-        sealer.next_place(),
+        sealer.next_sequence(),
         Some(EpochCounter { epoch, counter: 1 })
     );
     Ok(seals::<EpochHeader>(
@@ -161,15 +161,15 @@ fn seals<H: Specified>(
     epoch: u16,
     first: u32,
     verdict: Verdict,
-    messages: &[Message],
+    messages: &[Plaintext],
     at: usize,
 ) -> Result<u32, SealError> {
     let mut expected = Some(first).filter(|counter| *counter < u32::MAX);
     let mut last = Ok(0);
     for message in messages {
         assert_eq!(sealer.next_counter(), expected);
-        let place = expected.map(|counter| H::place_of(epoch, counter));
-        assert_eq!(sealer.next_place(), place);
+        let sequence = expected.map(|counter| H::place_of(epoch, counter));
+        assert_eq!(sealer.next_sequence(), sequence);
         let sealed = sealer.seal(message);
         last = match expected {
             None => {
@@ -198,32 +198,32 @@ fn seals<H: Specified>(
 fn is_sealed<H: Specified>(
     package: &Package,
     salt: u32,
-    (id, place): (H::Id, H::Place),
-    message: &Message,
+    (id, sequence): (H::Id, H::Sequence),
+    message: &Plaintext,
     at: usize,
 ) {
     let bytes = package.as_bytes();
-    let nonce = nonce_of::<H>(salt, id, place);
-    assert_eq!(bytes[..HEADER_SIZE], H::write(id, place));
+    let nonce = nonce_of::<H>(salt, id, sequence);
+    assert_eq!(bytes[..HEADER_SIZE], H::write(id, sequence));
     assert_eq!(bytes[..HEADER_SIZE], nonce[4..]);
     let tag = Told::tag(&nonce);
-    assert_eq!(bytes[HEADER_SIZE + MESSAGE_SIZE..], tag);
+    assert_eq!(bytes[HEADER_SIZE + PLAINTEXT_SIZE..], tag);
     let sealed = Told::byte(&nonce, message, &tag, at);
     assert_eq!(bytes[HEADER_SIZE + at], sealed);
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
     fn check(
         numbers: [u32; 3],
         verdict: Verdict,
-        messages: [Message; 2],
+        messages: [Plaintext; 2],
     ) -> Result<u32, SealError> {
         let mut last = Ok(0);
-        for at in 0..MESSAGE_SIZE {
+        for at in 0..PLAINTEXT_SIZE {
             last = packages(numbers, verdict, &messages, at);
         }
         last
@@ -252,10 +252,10 @@ mod twins {
         id: u16,
         mark: u64,
         verdict: Verdict,
-        messages: [Message; 2],
+        messages: [Plaintext; 2],
     ) -> Result<Result<u32, SealError>, EpochError> {
         let mut last = Ok(Ok(0));
-        for at in 0..MESSAGE_SIZE {
+        for at in 0..PLAINTEXT_SIZE {
             last = packages_of_epoch(salt, id, mark, verdict, &messages, at);
         }
         last
@@ -299,17 +299,17 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
 
-    // Errors, of a cipher that fails and of counters used up, are for the twins: Kani 0.67 takes the error
+    // Errors, of a cipher that fails and of counters used up, are for the property tests: Kani 0.67 takes the error
     // that `?` hands on in a result as large as a package's for no error at all, or for another one.
 
     #[kani::proof]
     #[kani::unwind(97)]
     fn n1_package() {
         let at = kani::any();
-        kani::assume(at < MESSAGE_SIZE);
+        kani::assume(at < PLAINTEXT_SIZE);
         let numbers: [u32; 3] = kani::any();
         kani::assume(numbers[2] < u32::MAX);
         let last = packages(numbers, Verdict::Right, &[kani::any()], at);
@@ -321,7 +321,7 @@ mod harness {
     #[kani::unwind(97)]
     fn n1_package_of_epoch() {
         let at = kani::any();
-        kani::assume(at < MESSAGE_SIZE);
+        kani::assume(at < PLAINTEXT_SIZE);
         let (salt, id, mark) = (kani::any(), kani::any(), kani::any());
         let last = packages_of_epoch(salt, id, mark, Verdict::Right, &[kani::any()], at);
         kani::cover!(last == Ok(Ok(1)) && mark == 0xFFFE, "the last epoch of all");

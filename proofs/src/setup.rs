@@ -86,7 +86,7 @@ pub fn only_zeros_are_cut(payload: &[u8]) {
 
 /// M1, in a log: what comes out is unsigned and has the frame's header and payload, but of SETUP_SIGNING
 /// the 32 bytes of the key are 0xFF, however many of them were sent. What is damaged or unknown is
-/// refused. `index` is the byte of the payload that is looked at.
+/// rejected. `index` is the byte of the payload that is looked at.
 ///
 /// # Errors
 ///
@@ -124,7 +124,7 @@ pub fn log_shows_no_secret(received: FrameRef<'_>, index: usize) -> Result<Frame
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{Hmac, SigningKey, Stamp, Timestamp, sign_frame};
@@ -183,7 +183,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::HEARTBEAT;
     use crate::model::set_checksum;

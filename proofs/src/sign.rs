@@ -2,12 +2,12 @@
 
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, SIGNATURE_SIZE, TAG_SIZE};
 use mavlink_signing::{
-    Frame, FrameRef, Header, Profile, Replay, SignError, SigningKey, Stamp, Tag, Window,
+    Frame, FrameRef, Header, Profile, ReplayGuard, SignError, SigningKey, Stamp, Tag, Window,
     authenticate, dialect, sign_frame,
 };
 
 /// S1: signing sets the flag, computes the checksum anew and appends link id, timestamp and tag;
-/// every other byte stays. Signing again is refused and changes nothing.
+/// every other byte stays. Signing again is rejected and changes nothing.
 ///
 /// S2, the sender's half: the tag is the one over exactly the bytes before it, asked for once.
 ///
@@ -105,7 +105,7 @@ pub fn signed_verifies<P: Profile>(
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     let authentic = authenticate(received, key).expect("signed with this key");
-    let mut replay = Replay::new(stamp.link_id, Window::SEED);
+    let mut replay = ReplayGuard::new(stamp.link_id, Window::STRICT);
     let verified = replay.admit(authentic, stamp.timestamp).expect("in time");
     assert_eq!(verified.header(), header);
     assert_eq!(verified.stamp(), stamp);
@@ -116,7 +116,7 @@ pub fn signed_verifies<P: Profile>(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use crate::model::Witness;
@@ -227,7 +227,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::HEARTBEAT;
     use crate::model::{AnyTag, Witness, any_checksum, set_checksum};

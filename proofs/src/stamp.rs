@@ -10,7 +10,7 @@ use mavlink_signing::{SignError, Stamper, Timestamp};
 ///
 /// # Errors
 ///
-/// [`SignError::ClockExhausted`], when the second stamp was refused.
+/// [`SignError::TimestampsExhausted`], when the second stamp was rejected.
 ///
 /// # Panics
 ///
@@ -21,7 +21,7 @@ pub fn two_stamps(
     now: [Timestamp; 2],
 ) -> Result<[Timestamp; 2], SignError> {
     let mut stamper = Stamper::resume(link_id, first);
-    let one = stamper.stamp(now[0]).expect("the first is never refused");
+    let one = stamper.stamp(now[0]).expect("the first is never rejected");
     assert_eq!(one.link_id, link_id);
     assert_eq!(one.timestamp, first.max(now[0]));
     assert!(one.timestamp <= Timestamp::MAX);
@@ -37,7 +37,7 @@ pub fn two_stamps(
             Ok([one.timestamp, two.timestamp])
         }
         Err(error) => {
-            assert_eq!(error, SignError::ClockExhausted);
+            assert_eq!(error, SignError::TimestampsExhausted);
             assert_eq!(one.timestamp, Timestamp::MAX);
             assert_eq!(stamper.stamp(now[0]), Err(error), "it stays at its end");
             Err(error)
@@ -46,7 +46,7 @@ pub fn two_stamps(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use proptest::prelude::*;
 
@@ -80,7 +80,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::replay::any_timestamp;
 

@@ -1,26 +1,26 @@
 //! R2: several streams, one timestamp each, in a table that never gives up a row.
 
 use mavlink_signing::{
-    Frame, FrameRef, Header, Links, Profile, SigningKey, Stamp, Stream, Streams, Timestamp,
+    Frame, FrameRef, Header, Links, Profile, SigningKey, Stamp, Stream, StreamTable, Timestamp,
     VerifyError, authenticate, sign_frame,
 };
 
 /// R2, one step from any state: an authentic frame is accepted if and only if it is of a link that is
 /// taken, in the window, newer than every accepted one of its stream, and has a row or a free one on a
 /// link that is not closed; otherwise the error names the first that is wrong. An accepted frame changes
-/// the row of its stream alone; a refused one changes nothing; no row is ever lost, and no link closed.
+/// the row of its stream alone; a rejected one changes nothing; no row is ever lost, and no link closed.
 ///
 /// `first` is the first timestamp that is fresh in a new stream. Returns the verdict.
 ///
 /// # Errors
 ///
-/// The verdict, where it is a refusal.
+/// The verdict, where it is a rejection.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
 pub fn step<P: Profile, const N: usize>(
-    streams: &mut Streams<N>,
+    streams: &mut StreamTable<N>,
     first: Timestamp,
     key: &SigningKey<P>,
     header: Header,
@@ -60,16 +60,16 @@ pub fn step<P: Profile, const N: usize>(
     verdict
 }
 
-/// R2, of what this end sends: it is refused when it comes back, whether or not there was a row for it;
+/// R2, of what this end sends: it is rejected when it comes back, whether or not there was a row for it;
 /// no other row changes, and none is lost. If there was none, its link is closed; a link that was closed
-/// stays so. As rows do not go back ([`step`]), it is refused later too. A frame without signature
-/// changes nothing. Returns why it is refused.
+/// stays so. As rows do not go back ([`step`]), it is rejected later too. A frame without signature
+/// changes nothing. Returns why it is rejected.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
 pub fn reflected<P: Profile, const N: usize>(
-    streams: &mut Streams<N>,
+    streams: &mut StreamTable<N>,
     key: &SigningKey<P>,
     header: Header,
     stamp: Stamp,
@@ -82,9 +82,9 @@ pub fn reflected<P: Profile, const N: usize>(
     let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
 
     let (before, closed) = (rows(streams), streams.closed());
-    streams.sent(unsigned);
+    streams.record_sent(unsigned);
     assert_eq!((rows(streams), streams.closed()), (before, closed));
-    streams.sent(frame);
+    streams.record_sent(frame);
     let after = rows(streams);
     let ours = stream(header, stamp);
     let without_row = takes(streams.links(), stamp) && last_of(&after, ours).is_none();
@@ -130,7 +130,7 @@ const fn stream(header: Header, stamp: Stamp) -> Stream {
 }
 
 /// The rows in the table's order; what is not taken is `None`.
-fn rows<const N: usize>(streams: &Streams<N>) -> Rows<N> {
+fn rows<const N: usize>(streams: &StreamTable<N>) -> Rows<N> {
     let mut rows = [None; N];
     for (slot, row) in rows.iter_mut().zip(streams.rows()) {
         *slot = Some(row);
@@ -152,7 +152,7 @@ fn last_of<const N: usize>(rows: &Rows<N>, ours: Stream) -> Option<Option<Timest
 
 /// The verdict on an authentic frame, condition by condition.
 fn specified<const N: usize>(
-    streams: &Streams<N>,
+    streams: &StreamTable<N>,
     rows: &Rows<N>,
     first: Timestamp,
     header: Header,
@@ -185,7 +185,7 @@ fn specified<const N: usize>(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{Hmac, Window};
@@ -202,7 +202,7 @@ mod twins {
             let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
             let links = [Links::Any, Links::Only(2), Links::Only(1)][usize::from(links)];
             let window = Window { past: 30, ahead: 20 };
-            let mut streams = Streams::<4>::resume(links, window, at(first));
+            let mut streams = StreamTable::<4>::resume(links, window, at(first));
             for (link_id, system_id, component_id, ticks, now, back) in frames {
                 let header = Header { system_id, component_id, ..HEARTBEAT };
                 let stamp = Stamp { link_id, timestamp: at(ticks) };
@@ -215,12 +215,12 @@ mod twins {
         }
     }
 
-    /// A full table refuses what is new and goes on with what it knows.
+    /// A full table rejects what is new and goes on with what it knows.
     #[test]
     fn r2_full() {
         let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
         let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
-        let mut streams = Streams::<2>::new(Links::Any, Window::SEED);
+        let mut streams = StreamTable::<2>::new(Links::Any, Window::STRICT);
         let mut verdict = |system_id, ticks| {
             let header = Header {
                 system_id,
@@ -244,7 +244,7 @@ mod twins {
     fn r2_own_half() {
         let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
         let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
-        let mut streams = Streams::<4>::new(Links::Any, Window::SEED);
+        let mut streams = StreamTable::<4>::new(Links::Any, Window::STRICT);
         let header = |system_id| Header {
             system_id,
             ..HEARTBEAT
@@ -254,10 +254,10 @@ mod twins {
             timestamp: at(ticks),
         };
         for system_id in 1..9 {
-            let refusal = reflected(&mut streams, &key, header(system_id), stamp(1, 5), at(9));
+            let rejection = reflected(&mut streams, &key, header(system_id), stamp(1, 5), at(9));
             let has_row = system_id <= 2;
-            assert_eq!(refusal == VerifyError::Replayed, has_row);
-            assert_eq!(refusal == VerifyError::StreamsFull, !has_row);
+            assert_eq!(rejection == VerifyError::Replayed, has_row);
+            assert_eq!(rejection == VerifyError::StreamsFull, !has_row);
             assert_eq!(streams.closed(), (!has_row).then_some(Links::Only(1)));
         }
         let mut verdict = |link_id, system_id, ticks| {
@@ -273,7 +273,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::HEARTBEAT;
     use crate::model::AnyTag;
@@ -282,7 +282,7 @@ mod harness {
 
     /// Any table of two with `TAKEN` rows in use, and any first timestamp: how many rows there are is
     /// then known to the solver. The third is how many rows are taken for frames that this end sent.
-    fn any_streams<const TAKEN: usize>() -> (Streams<2>, Timestamp, usize) {
+    fn any_streams<const TAKEN: usize>() -> (StreamTable<2>, Timestamp, usize) {
         let any_links = || {
             if kani::any() {
                 Links::Any
@@ -308,7 +308,7 @@ mod harness {
             kani::assume(one.0 != other.0);
         }
         let own = rows.iter().filter(|(.., own)| *own).count();
-        let streams = Streams::resume(links, window, first).holding(&rows, closed);
+        let streams = StreamTable::resume(links, window, first).holding(&rows, closed);
         (streams, first, own)
     }
 
@@ -352,12 +352,12 @@ mod harness {
         let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
         let (mut streams, _, own) = any_streams::<TAKEN>();
         let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
-        let refusal = reflected(&mut streams, &key, header, stamp, now);
+        let rejection = reflected(&mut streams, &key, header, stamp, now);
         let taken = streams.rows().count() > TAKEN;
         assert!(!taken || own == 0, "half of two rows");
-        kani::cover!(refusal == VerifyError::Replayed, "replayed");
-        kani::cover!(refusal == VerifyError::TooOld, "too old");
-        kani::cover!(matches!(refusal, VerifyError::WrongLink(_)), "wrong link");
+        kani::cover!(rejection == VerifyError::Replayed, "replayed");
+        kani::cover!(rejection == VerifyError::TooOld, "too old");
+        kani::cover!(matches!(rejection, VerifyError::WrongLink(_)), "wrong link");
     }
 
     #[kani::proof]

@@ -17,7 +17,7 @@ pub fn found_if_there(id: MessageId) -> Option<u8> {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
 
     #[test]
@@ -41,7 +41,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
 
     #[kani::proof]

@@ -1,4 +1,4 @@
-//! V1's other side: whatever is changed in a signed frame, it is refused.
+//! V1's other side: whatever is changed in a signed frame, it is rejected.
 
 use mavlink_signing::crc::checksum;
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE};
@@ -39,7 +39,7 @@ pub enum Change {
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn change_is_refused<P: Profile>(
+pub fn change_is_rejected<P: Profile>(
     header: Header,
     payload: &[u8],
     key: &SigningKey<P>,
@@ -55,13 +55,13 @@ pub fn change_is_refused<P: Profile>(
     for change in changes {
         apply(*change, &mut changed);
     }
-    let verdict = refused(original, &changed, key)?;
+    let verdict = rejected(original, &changed, key)?;
     repair_checksum(&mut changed);
-    Some(refused(original, &changed, key).unwrap_or(verdict))
+    Some(rejected(original, &changed, key).unwrap_or(verdict))
 }
 
 /// Why the frame at the front of `changed` is not authentic; `None` if it is the original.
-fn refused<P: Profile>(
+fn rejected<P: Profile>(
     original: &[u8],
     changed: &[u8],
     key: &SigningKey<P>,
@@ -108,7 +108,7 @@ pub fn repair_checksum(bytes: &mut [u8]) {
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{Hmac, Timestamp};
@@ -120,7 +120,7 @@ mod twins {
             link_id: 1,
             timestamp: Timestamp::ZERO,
         };
-        change_is_refused(HEARTBEAT, payload, &key, stamp, changes)
+        change_is_rejected(HEARTBEAT, payload, &key, stamp, changes)
     }
 
     fn change() -> impl Strategy<Value = Change> {

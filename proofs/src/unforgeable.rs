@@ -1,12 +1,12 @@
-//! V2: what is refused leaves no trace, and what is accepted was made by the checks alone.
+//! V2: what is rejected leaves no trace, and what is accepted was made by the checks alone.
 //!
 //! That [`Authentic`](mavlink_signing::Authentic) and [`Verified`](mavlink_signing::Verified) come from
 //! nowhere else is a matter of types, which the compiler checks; each of these programs must not
 //! compile, and differs in one line from this one, which does:
 //!
 //! ```
-//! use mavlink_signing::{Authentic, FrameRef, Replay, Timestamp, Verified, VerifyError};
-//! fn admitted<'a>(authentic: Authentic<'a>, replay: &mut Replay) -> Result<Verified<'a>, VerifyError> {
+//! use mavlink_signing::{Authentic, FrameRef, ReplayGuard, Timestamp, Verified, VerifyError};
+//! fn admitted<'a>(authentic: Authentic<'a>, replay: &mut ReplayGuard) -> Result<Verified<'a>, VerifyError> {
 //!     replay.admit(authentic, Timestamp::ZERO)
 //! }
 //! ```
@@ -14,8 +14,8 @@
 //! A frame that was only parsed is not admitted:
 //!
 //! ```compile_fail
-//! use mavlink_signing::{Authentic, FrameRef, Replay, Timestamp, Verified, VerifyError};
-//! fn admitted<'a>(authentic: FrameRef<'a>, replay: &mut Replay) -> Result<Verified<'a>, VerifyError> {
+//! use mavlink_signing::{Authentic, FrameRef, ReplayGuard, Timestamp, Verified, VerifyError};
+//! fn admitted<'a>(authentic: FrameRef<'a>, replay: &mut ReplayGuard) -> Result<Verified<'a>, VerifyError> {
 //!     replay.admit(authentic, Timestamp::ZERO)
 //! }
 //! ```
@@ -23,15 +23,15 @@
 //! `Verified` is not made from an authentic frame by hand:
 //!
 //! ```compile_fail
-//! use mavlink_signing::{Authentic, FrameRef, Replay, Timestamp, Verified, VerifyError};
-//! fn admitted<'a>(authentic: Authentic<'a>, replay: &mut Replay) -> Result<Verified<'a>, VerifyError> {
+//! use mavlink_signing::{Authentic, FrameRef, ReplayGuard, Timestamp, Verified, VerifyError};
+//! fn admitted<'a>(authentic: Authentic<'a>, replay: &mut ReplayGuard) -> Result<Verified<'a>, VerifyError> {
 //!     Ok(Verified::new(authentic))
 //! }
 //! ```
 //!
 //! ```compile_fail
-//! use mavlink_signing::{Authentic, FrameRef, Replay, Timestamp, Verified, VerifyError};
-//! fn admitted<'a>(authentic: Authentic<'a>, replay: &mut Replay) -> Result<Verified<'a>, VerifyError> {
+//! use mavlink_signing::{Authentic, FrameRef, ReplayGuard, Timestamp, Verified, VerifyError};
+//! fn admitted<'a>(authentic: Authentic<'a>, replay: &mut ReplayGuard) -> Result<Verified<'a>, VerifyError> {
 //!     Ok(Verified(authentic))
 //! }
 //! ```
@@ -40,8 +40,8 @@
 //! [`accept_unsigned`](mavlink_signing::accept_unsigned) alone:
 //!
 //! ```compile_fail
-//! use mavlink_signing::{Replay, Timestamp, Unsigned, Verified, VerifyError};
-//! fn admitted<'a>(unsigned: Unsigned<'a>, replay: &mut Replay) -> Result<Verified<'a>, VerifyError> {
+//! use mavlink_signing::{ReplayGuard, Timestamp, Unsigned, Verified, VerifyError};
+//! fn admitted<'a>(unsigned: Unsigned<'a>, replay: &mut ReplayGuard) -> Result<Verified<'a>, VerifyError> {
 //!     replay.admit(unsigned, Timestamp::ZERO)
 //! }
 //! ```
@@ -52,8 +52,8 @@
 //! ```
 //!
 //! ```
-//! use mavlink_signing::{FrameRef, RadioStatus, Unsigned, accept_unsigned};
-//! fn accepted(frame: FrameRef<'_>) -> Unsigned<'_> { accept_unsigned(frame, 1, &RadioStatus).unwrap() }
+//! use mavlink_signing::{FrameRef, AllowRadioStatus, Unsigned, accept_unsigned};
+//! fn accepted(frame: FrameRef<'_>) -> Unsigned<'_> { accept_unsigned(frame, 1, &AllowRadioStatus).unwrap() }
 //! ```
 //!
 //! A frame that was not verified hands out no payload; one that was does:
@@ -86,11 +86,11 @@
 //! ```
 //!
 //! ```compile_fail
-//! fn twice(x: mavlink_signing::Replay) -> [mavlink_signing::Replay; 2] { [x.clone(), x] }
+//! fn twice(x: mavlink_signing::ReplayGuard) -> [mavlink_signing::ReplayGuard; 2] { [x.clone(), x] }
 //! ```
 //!
 //! ```compile_fail
-//! fn twice(x: mavlink_signing::Streams<1>) -> [mavlink_signing::Streams<1>; 2] { [x.clone(), x] }
+//! fn twice(x: mavlink_signing::StreamTable<1>) -> [mavlink_signing::StreamTable<1>; 2] { [x.clone(), x] }
 //! ```
 //!
 //! ```compile_fail
@@ -101,17 +101,17 @@ use mavlink_signing::{FrameRef, Profile, SigningKey, Timestamp, VerifyError, aut
 
 use crate::model::Resumed;
 
-/// V2: whatever is refused, and for whatever reason, leaves the receiver as it was; what is accepted
+/// V2: whatever is rejected, and for whatever reason, leaves the receiver as it was; what is accepted
 /// is all that it remembers.
 ///
 /// # Errors
 ///
-/// The refusal.
+/// The rejection.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn refusal_leaves_no_trace<P: Profile>(
+pub fn rejection_leaves_no_trace<P: Profile>(
     bytes: &[u8],
     key: &SigningKey<P>,
     before: Resumed,
@@ -134,14 +134,14 @@ pub fn refusal_leaves_no_trace<P: Profile>(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{Frame, Hmac, MavLinkState, Stamp, Window, sign_frame, verify_frame};
 
-    /// Every kind of refusal, and an acceptance; the shared state gives the same verdicts.
+    /// Every kind of rejection, and an acceptance; the shared state gives the same verdicts.
     #[test]
-    fn v2_every_refusal() {
+    fn v2_every_rejection() {
         let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
         let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
         let signed = |link_id, ticks| {
@@ -182,7 +182,7 @@ mod twins {
             (unsigned, false),
         ];
         for (bytes, accepted) in cases {
-            let verdict = refusal_leaves_no_trace(&bytes, &key, before, at(100));
+            let verdict = rejection_leaves_no_trace(&bytes, &key, before, at(100));
             assert_eq!(verdict.is_ok(), accepted, "{verdict:?}");
 
             let state = MavLinkState::new(before.replay());
@@ -197,7 +197,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::{AnyTag, any_prefix, set_checksum};
     use crate::replay::any_timestamp;
@@ -206,14 +206,14 @@ mod harness {
     #[kani::proof]
     #[kani::unwind(33)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
-    fn v2_refusal_leaves_no_trace() {
+    fn v2_rejection_leaves_no_trace() {
         set_checksum(kani::any());
         let bytes: [u8; MAX_FRAME_SIZE] = kani::any();
         let bytes = any_prefix(&bytes);
         let mut secret: [u8; 32] = kani::any();
         secret[31] = 1;
         let key = SigningKey::<AnyTag>::new(&secret).expect("not zero");
-        let verdict = refusal_leaves_no_trace(bytes, &key, Resumed::any(), any_timestamp());
+        let verdict = rejection_leaves_no_trace(bytes, &key, Resumed::any(), any_timestamp());
         kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(verdict == Err(VerifyError::BadTag), "bad tag");
         kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");

@@ -7,7 +7,7 @@ use mavlink_signing::{
     Claim, FrameRef, Packet, Profile, SETUP_SIGNING, SigningKey, Timestamp, VerifyError,
     accept_unsigned,
 };
-use mavseal_relay::{Forward, Handed, Refusal, Verifier};
+use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Verifier};
 
 use crate::model::Resumed;
 
@@ -18,7 +18,7 @@ use crate::model::Resumed;
 ///
 /// # Errors
 ///
-/// The verdict, where it is a refusal.
+/// The verdict, where it is a rejection.
 ///
 /// # Panics
 ///
@@ -76,7 +76,7 @@ pub fn policy_decides(
 
 /// U1, in the relay: with a policy that accepts everything, a frame leaves as unsigned if and only if it
 /// came unsigned, known and undamaged, and is not SETUP_SIGNING; it is then byte for byte the same. The
-/// policy is never asked about a signed one. Returns the refusal.
+/// policy is never asked about a signed one. Returns the rejection.
 ///
 /// # Errors
 ///
@@ -91,20 +91,21 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
     receiver: Resumed,
     now: Timestamp,
     index: usize,
-) -> Result<(), Refusal> {
+) -> Result<(), RejectReason> {
     let asked = Cell::new(0_u8);
     let policy = |_: Claim| {
         asked.set(asked.get() + 1);
         true
     };
-    let mut verifier = Verifier::new(receiver.replay(), Forward::Whole).accepting(1, policy);
+    let mut verifier =
+        Verifier::new(receiver.replay(), ForwardMode::KeepSignature).accepting(1, policy);
     let handed_on = verifier.verify(Packet::Mavlink2(received), &mut &*key, &mut { now });
     let id = received.header().message_id;
     let unsigned = match crc_extra(id) {
         _ if received.is_signed() => None,
-        _ if id == SETUP_SIGNING => Some(Err(Refusal::SetupSigning)),
-        None => Some(Err(Refusal::UnknownMessage)),
-        Some(extra) if !received.checksum_matches(extra) => Some(Err(Refusal::BadChecksum)),
+        _ if id == SETUP_SIGNING => Some(Err(RejectReason::SetupSigning)),
+        None => Some(Err(RejectReason::UnknownMessage)),
+        Some(extra) if !received.checksum_matches(extra) => Some(Err(RejectReason::BadChecksum)),
         Some(_) => Some(Ok(())),
     };
     assert_eq!(asked.get(), u8::from(unsigned == Some(Ok(()))));
@@ -112,11 +113,11 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
         assert_eq!(handed_on.as_ref().map(drop), expected.as_ref().map(drop));
     }
     let frame = match handed_on? {
-        Handed::Verified(frame) => {
+        Forwarded::Verified(frame) => {
             assert!(received.is_signed() && id != SETUP_SIGNING);
             frame
         }
-        Handed::Unsigned(frame) => {
+        Forwarded::Unsigned(frame) => {
             assert!(!received.is_signed());
             frame
         }
@@ -130,12 +131,12 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use mavlink_signing::{
-        Frame, Hmac, MessageId, RadioStatus, Refuse, Stamp, TrustedPort, UnsignedPolicy, Window,
-        sign_frame,
+        AllowLink, AllowRadioStatus, Frame, Hmac, MessageId, RejectUnsigned, Stamp, UnsignedPolicy,
+        Window, sign_frame,
     };
     use proptest::prelude::*;
 
@@ -174,7 +175,7 @@ mod twins {
             let received = FrameRef::parse(&bytes).expect("a frame");
             let verdict = policy_decides(received, link_id, accepts);
             prop_assert!(verdict.is_err() || (accepts && !signed));
-            let receiver = Resumed { link_id: 2, window: Window::SEED, first: Timestamp::ZERO };
+            let receiver = Resumed { link_id: 2, window: Window::STRICT, first: Timestamp::ZERO };
             let handed_on = only_unsigned_is_asked_about(received, &key, receiver, at(5), index);
             prop_assert!(handed_on.is_ok() || damaged.is_some() || unknown || id == 256);
         }
@@ -192,9 +193,9 @@ mod twins {
         for link_id in 0..=255 {
             for id in 0..=255 {
                 let claim = claim(link_id, id);
-                assert!(!Refuse.accepts(claim));
-                assert_eq!(RadioStatus.accepts(claim), id == 109);
-                let port = TrustedPort { link_id: 7 };
+                assert!(!RejectUnsigned.accepts(claim));
+                assert_eq!(AllowRadioStatus.accepts(claim), id == 109);
+                let port = AllowLink { link_id: 7 };
                 assert_eq!(port.accepts(claim), link_id == 7);
             }
         }
@@ -202,7 +203,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::{AnyTag, any_prefix, set_checksum};
     use crate::replay::any_timestamp;
@@ -221,7 +222,7 @@ mod harness {
         kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(
             verdict == Err(VerifyError::NotSigned),
-            "refused by the policy"
+            "rejected by the policy"
         );
         kani::cover!(verdict == Err(VerifyError::Signed), "signed");
         kani::cover!(verdict == Err(VerifyError::BadChecksum), "damaged");
@@ -233,7 +234,7 @@ mod harness {
         SigningKey::new(&secret).expect("not zero")
     }
 
-    fn leaves<const SIZE: usize>(signed: bool) -> Result<(), Refusal> {
+    fn leaves<const SIZE: usize>(signed: bool) -> Result<(), RejectReason> {
         set_checksum(kani::any());
         let mut bytes: [u8; SIZE] = kani::any();
         let payload_length = if signed { SIZE - 25 } else { SIZE - 12 };
@@ -251,15 +252,18 @@ mod harness {
     fn signed<const SIZE: usize>() {
         let handed_on = leaves::<SIZE>(true);
         kani::cover!(handed_on.is_ok(), "verified");
-        kani::cover!(handed_on == Err(Refusal::BadTag), "forged");
-        kani::cover!(handed_on == Err(Refusal::Replayed), "replayed");
+        kani::cover!(handed_on == Err(RejectReason::BadTag), "forged");
+        kani::cover!(handed_on == Err(RejectReason::Replayed), "replayed");
     }
 
     fn unsigned<const SIZE: usize>() {
         let handed_on = leaves::<SIZE>(false);
         kani::cover!(handed_on.is_ok(), "accepted by the policy");
-        kani::cover!(handed_on == Err(Refusal::SetupSigning), "SETUP_SIGNING");
-        kani::cover!(handed_on == Err(Refusal::BadChecksum), "damaged");
+        kani::cover!(
+            handed_on == Err(RejectReason::SetupSigning),
+            "SETUP_SIGNING"
+        );
+        kani::cover!(handed_on == Err(RejectReason::BadChecksum), "damaged");
     }
 
     // The harness's number is the payload's length, the literal the frame's.

@@ -8,8 +8,8 @@ use mavlink_signing::{
 
 use crate::model::Resumed;
 
-/// V1: [`authenticate`] and [`Replay::admit`](mavlink_signing::Replay::admit) give the verdict of
-/// `specified`, which reads the bytes naively; the payload that comes out is the frame's; what is refused
+/// V1: [`authenticate`] and [`ReplayGuard::admit`](mavlink_signing::Replay::admit) give the verdict of
+/// `specified`, which reads the bytes naively; the payload that comes out is the frame's; what is rejected
 /// changes nothing.
 ///
 /// `checksum` and `tag` are what the code under test computes, or the models that stand for it.
@@ -17,7 +17,7 @@ use crate::model::Resumed;
 ///
 /// # Errors
 ///
-/// The verdict, where it is a refusal.
+/// The verdict, where it is a rejection.
 ///
 /// # Panics
 ///
@@ -95,7 +95,7 @@ fn specified(
 }
 
 #[cfg(test)]
-mod twins {
+mod tests {
     use super::*;
     use crate::HEARTBEAT;
     use crate::model::Witness;
@@ -201,7 +201,7 @@ mod twins {
 }
 
 #[cfg(kani)]
-mod harness {
+mod verification {
     use super::*;
     use crate::model::{
         AnyTag, Witness, any_checksum, any_prefix, checksum_calls, one_checksum, set_checksum,

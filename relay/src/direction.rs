@@ -1,17 +1,17 @@
 //! What is done to a packet: signing towards the radio, verification from it.
 //!
-//! Two types that share nothing but the key: a packet from the secure side meets no function that
+//! Two types that share nothing but the key: a packet from the link side meets no function that
 //! signs. They need no port, so that a shell with input and output of its own can use them alone.
 
 use mavlink_signing::{
-    Admit, Authenticate, Frame, FrameRef, Keys, Packet, Profile, Refuse, Replay, Resync,
-    SETUP_SIGNING, SetupSigning, SigningKey, Stamper, Timekeeper, TrustedPort, UnsignedPolicy,
-    accept_unsigned, sign_frame,
+    AllowLink, AntiReplay, Authenticate, Frame, FrameRef, KeyRing, LinkClock, Packet, Profile,
+    RejectUnsigned, ReplayGuard, Resync, SETUP_SIGNING, SetupSigning, SigningKey, Stamper,
+    UnsignedPolicy, accept_unsigned, sign_frame,
 };
 
-use crate::event::{Direction, Event, Refusal};
+use crate::event::{Direction, Event, RejectReason};
 
-/// Plain to secure: signs what is undamaged and unsigned.
+/// Local to link: signs what is undamaged and unsigned.
 #[derive(Debug)]
 pub struct Signer {
     stamper: Stamper,
@@ -48,7 +48,7 @@ impl Signer {
         self.setup.as_mut()?.came.take()
     }
 
-    /// Keeps what `packet` says if it is a SETUP_SIGNING for this end. It came in on the plain side, a
+    /// Keeps what `packet` says if it is a SETUP_SIGNING for this end. It came in on the local side, a
     /// cable, where nobody has a signature.
     fn look_for_setup(&mut self, packet: Packet<'_>) {
         let (Some(setup), Packet::Mavlink2(frame)) = (&mut self.setup, packet) else {
@@ -58,7 +58,7 @@ impl Signer {
             return;
         }
         let link_id = self.stamper.link_id();
-        let Ok(accepted) = accept_unsigned(frame, link_id, &TrustedPort { link_id }) else {
+        let Ok(accepted) = accept_unsigned(frame, link_id, &AllowLink { link_id }) else {
             return;
         };
         let came = SetupSigning::from_payload(accepted.payload());
@@ -74,17 +74,17 @@ impl Signer {
     ///
     /// # Errors
     ///
-    /// [`Refusal`]; no stamp has been used up then.
+    /// [`RejectReason`]; no stamp has been used up then.
     pub fn sign<P: Profile>(
         &mut self,
         packet: Packet<'_>,
         key: &SigningKey<P>,
-        time: &mut impl Timekeeper,
-    ) -> Result<Frame, Refusal> {
+        time: &mut impl LinkClock,
+    ) -> Result<Frame, RejectReason> {
         self.look_for_setup(packet);
         let frame = passable(packet)?;
         if frame.is_signed() {
-            return Err(Refusal::AlreadySigned);
+            return Err(RejectReason::AlreadySigned);
         }
         let mut frame = Frame::try_from(frame)?;
         sign_frame(&mut frame, key, time.stamp(&mut self.stamper)?)?;
@@ -92,35 +92,35 @@ impl Signer {
     }
 }
 
-/// How verified frames leave on the plain side.
+/// How verified frames leave on the local side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Forward {
+pub enum ForwardMode {
     /// Signature removed, flag cleared, checksum computed anew: for equipment that does not know
     /// signatures.
-    Stripped,
+    StripSignature,
     /// As received.
-    Whole,
+    KeepSignature,
 }
 
-/// Secure to plain: lets verified frames through, and unsigned ones if a policy accepts them.
+/// Link to local: lets verified frames through, and unsigned ones if a policy accepts them.
 #[derive(Debug)]
-pub struct Verifier<R = Replay, U = Refuse> {
+pub struct Verifier<R = ReplayGuard, U = RejectUnsigned> {
     receiver: R,
-    forward: Forward,
+    forward: ForwardMode,
     link_id: u8,
     unsigned: U,
 }
 
-impl<R: Admit> Verifier<R> {
+impl<R: AntiReplay> Verifier<R> {
     /// Admits what `receiver` admits and hands it on as `forward` says; nothing that is unsigned.
     #[must_use]
-    pub const fn new(receiver: R, forward: Forward) -> Self {
+    pub const fn new(receiver: R, forward: ForwardMode) -> Self {
         Self {
             receiver,
             forward,
             link_id: 0,
-            unsigned: Refuse,
+            unsigned: RejectUnsigned,
         }
     }
 
@@ -137,42 +137,42 @@ impl<R: Admit> Verifier<R> {
     }
 }
 
-/// A frame that goes on to the plain side, and why.
+/// A frame that goes on to the local side, and why.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Handed {
+pub enum Forwarded {
     /// It was verified.
     Verified(Frame),
     /// It is not signed, nobody knows who sent it, and a policy accepts it.
     Unsigned(Frame),
 }
 
-impl<R: Admit, U: UnsignedPolicy> Verifier<R, U> {
-    /// Tells the receiver of a frame that was signed here, before it is sent: see [`Admit::sent`].
-    pub fn sent(&mut self, frame: FrameRef<'_>) {
-        self.receiver.sent(frame);
+impl<R: AntiReplay, U: UnsignedPolicy> Verifier<R, U> {
+    /// Tells the receiver of a frame that was signed here, before it is sent: see [`AntiReplay::record_sent`].
+    pub fn record_sent(&mut self, frame: FrameRef<'_>) {
+        self.receiver.record_sent(frame);
     }
 
     /// The frame to hand on for `packet`.
     ///
     /// # Errors
     ///
-    /// [`Refusal`]; nothing has changed then.
+    /// [`RejectReason`]; nothing has changed then.
     pub fn verify(
         &mut self,
         packet: Packet<'_>,
         keys: &mut impl Authenticate,
-        time: &mut impl Timekeeper,
-    ) -> Result<Handed, Refusal> {
+        time: &mut impl LinkClock,
+    ) -> Result<Forwarded, RejectReason> {
         let frame = passable(packet)?;
         if !frame.is_signed() {
             let accepted = accept_unsigned(frame, self.link_id, &self.unsigned)?;
-            return Ok(Handed::Unsigned(accepted.to_frame()));
+            return Ok(Forwarded::Unsigned(accepted.to_frame()));
         }
         let verified = time.admit(&mut self.receiver, keys.authenticate(frame)?)?;
-        keys.heard(&verified);
-        Ok(Handed::Verified(match self.forward {
-            Forward::Stripped => verified.to_unsigned(),
-            Forward::Whole => verified.to_frame(),
+        keys.on_accepted(&verified);
+        Ok(Forwarded::Verified(match self.forward {
+            ForwardMode::StripSignature => verified.to_unsigned(),
+            ForwardMode::KeepSignature => verified.to_frame(),
         }))
     }
 }
@@ -181,58 +181,58 @@ impl<R: Admit, U: UnsignedPolicy> Verifier<R, U> {
 ///
 /// MAVLink 1 has no place for a signature. SETUP_SIGNING carries a key in plain text and is for the
 /// one component that it is sent to (MAVLink guide, "Message Signing", Secret Key Management).
-fn passable(packet: Packet<'_>) -> Result<FrameRef<'_>, Refusal> {
+fn passable(packet: Packet<'_>) -> Result<FrameRef<'_>, RejectReason> {
     match packet {
-        Packet::Mavlink1(_) => Err(Refusal::Mavlink1),
+        Packet::Mavlink1(_) => Err(RejectReason::Mavlink1),
         Packet::Mavlink2(frame) if frame.header().message_id == SETUP_SIGNING => {
-            Err(Refusal::SetupSigning)
+            Err(RejectReason::SetupSigning)
         }
         Packet::Mavlink2(frame) => Ok(frame),
     }
 }
 
 /// What the packets of one direction go through.
-pub(crate) trait Treat {
+pub(crate) trait PacketHandler {
     const DIRECTION: Direction;
     const RESYNC: Resync;
 
     /// The frame that goes on, and the news of it.
-    fn treat<P: Profile>(
+    fn process<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        keys: &mut Keys<P>,
-        time: &mut impl Timekeeper,
-    ) -> Result<(Frame, Event), Refusal>;
+        keys: &mut KeyRing<P>,
+        time: &mut impl LinkClock,
+    ) -> Result<(Frame, Event), RejectReason>;
 }
 
-impl Treat for Signer {
-    const DIRECTION: Direction = Direction::PlainToSecure;
+impl PacketHandler for Signer {
+    const DIRECTION: Direction = Direction::Outbound;
     const RESYNC: Resync = Resync::AnnouncedEnd;
 
-    fn treat<P: Profile>(
+    fn process<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        keys: &mut Keys<P>,
-        time: &mut impl Timekeeper,
-    ) -> Result<(Frame, Event), Refusal> {
+        keys: &mut KeyRing<P>,
+        time: &mut impl LinkClock,
+    ) -> Result<(Frame, Event), RejectReason> {
         let frame = self.sign(packet, keys.signing(), time)?;
         Ok((frame, Event::Passed(Self::DIRECTION)))
     }
 }
 
-impl<R: Admit, U: UnsignedPolicy> Treat for Verifier<R, U> {
-    const DIRECTION: Direction = Direction::SecureToPlain;
+impl<R: AntiReplay, U: UnsignedPolicy> PacketHandler for Verifier<R, U> {
+    const DIRECTION: Direction = Direction::Inbound;
     const RESYNC: Resync = Resync::NextByte;
 
-    fn treat<P: Profile>(
+    fn process<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        keys: &mut Keys<P>,
-        time: &mut impl Timekeeper,
-    ) -> Result<(Frame, Event), Refusal> {
+        keys: &mut KeyRing<P>,
+        time: &mut impl LinkClock,
+    ) -> Result<(Frame, Event), RejectReason> {
         Ok(match self.verify(packet, keys, time)? {
-            Handed::Verified(frame) => (frame, Event::Passed(Self::DIRECTION)),
-            Handed::Unsigned(frame) => (frame, Event::Unsigned),
+            Forwarded::Verified(frame) => (frame, Event::Passed(Self::DIRECTION)),
+            Forwarded::Unsigned(frame) => (frame, Event::Unsigned),
         })
     }
 }

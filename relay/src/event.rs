@@ -8,16 +8,16 @@ use strum::{Display, IntoStaticStr, VariantArray};
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Direction {
     /// Towards the radio: to be signed.
-    PlainToSecure,
+    Outbound,
     /// From the radio: to be verified.
-    SecureToPlain,
+    Inbound,
 }
 
 /// Why a packet was not passed on.
 #[derive(Clone, Copy, Debug, Display, IntoStaticStr, VariantArray, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum Refusal {
+pub enum RejectReason {
     /// A MAVLink 1 packet: it has no place for a signature.
     #[strum(serialize = "MAVLink 1")]
     Mavlink1,
@@ -38,14 +38,14 @@ pub enum Refusal {
     AlreadySigned,
     /// To be signed, but the link's timestamps are used up.
     #[strum(serialize = "clock exhausted")]
-    ClockExhausted,
+    TimestampsExhausted,
     /// To be verified, but not signed.
     #[strum(serialize = "not signed")]
     NotSigned,
     /// Signed with another key, or forged.
     #[strum(serialize = "bad tag")]
     BadTag,
-    /// Authentic, but made for another link; with [`Replay`](mavlink_signing::Replay) also one's own
+    /// Authentic, but made for another link; with [`ReplayGuard`](mavlink_signing::Replay) also one's own
     /// frames, reflected.
     #[strum(serialize = "wrong link")]
     WrongLink,
@@ -69,8 +69,8 @@ pub enum Refusal {
     Other,
 }
 
-impl Refusal {
-    /// Every reason, in the order of [`Refusal`]'s definition.
+impl RejectReason {
+    /// Every reason, in the order of [`RejectReason`]'s definition.
     pub const ALL: &[Self] = Self::VARIANTS;
 
     /// The reason in a few words, as in tables.
@@ -80,7 +80,7 @@ impl Refusal {
     }
 }
 
-impl From<DecodeError> for Refusal {
+impl From<DecodeError> for RejectReason {
     fn from(error: DecodeError) -> Self {
         match error {
             DecodeError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
@@ -91,20 +91,20 @@ impl From<DecodeError> for Refusal {
     }
 }
 
-impl From<SignError> for Refusal {
+impl From<SignError> for RejectReason {
     fn from(error: SignError) -> Self {
         match error {
             SignError::UnknownMessage(_) => Self::UnknownMessage,
             SignError::BadChecksum => Self::BadChecksum,
             SignError::AlreadySigned => Self::AlreadySigned,
-            SignError::ClockExhausted => Self::ClockExhausted,
+            SignError::TimestampsExhausted => Self::TimestampsExhausted,
             SignError::NotStored => Self::NotStored,
             _ => Self::Other,
         }
     }
 }
 
-impl From<VerifyError> for Refusal {
+impl From<VerifyError> for RejectReason {
     fn from(error: VerifyError) -> Self {
         match error {
             VerifyError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
@@ -130,31 +130,31 @@ impl From<VerifyError> for Refusal {
 pub enum Event {
     /// It goes on: signed, or verified.
     Passed(Direction),
-    /// It goes on to the plain side, not signed and accepted by a policy.
+    /// It goes on to the local side, not signed and accepted by a policy.
     Unsigned,
     /// It does not.
-    Refused(Direction, Refusal),
+    Rejected(Direction, RejectReason),
 }
 
 /// How often each thing happened in one direction. Every count stays at the top of its range.
 ///
-/// From the secure side, a refusal for flags, message or checksum is counted for each place at which
+/// From the link side, a rejection for flags, message or checksum is counted for each place at which
 /// bytes began like a packet and were none, so that one damaged packet may count more than once.
 ///
-/// Anybody who can send bytes can raise the counts of refusals: show them, do not act on them.
+/// Anybody who can send bytes can raise the counts of rejections: show them, do not act on them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     passed: u32,
     unsigned: u32,
-    refused: [u32; Refusal::ALL.len()],
-    last_offender: Option<Offender>,
+    rejected: [u32; RejectReason::ALL.len()],
+    last_rejected: Option<RejectedPacket>,
     dropped: u32,
 }
 
-/// Who a refused packet says that it is from.
+/// Who a rejected packet says that it is from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Offender {
+pub struct RejectedPacket {
     /// The vehicle or station.
     pub system_id: u8,
     /// The part of it.
@@ -163,12 +163,12 @@ pub struct Offender {
     pub link_id: Option<u8>,
     /// Which message it carries.
     pub message_id: MessageId,
-    /// Why it was refused.
-    pub refusal: Refusal,
+    /// Why it was rejected.
+    pub rejection: RejectReason,
 }
 
-impl Offender {
-    pub(crate) fn new(packet: &Packet<'_>, refusal: Refusal) -> Self {
+impl RejectedPacket {
+    pub(crate) fn new(packet: &Packet<'_>, rejection: RejectReason) -> Self {
         let (system_id, component_id, link_id) = match packet {
             Packet::Mavlink2(frame) => {
                 let header = frame.header();
@@ -182,7 +182,7 @@ impl Offender {
             component_id,
             link_id,
             message_id: packet.message_id(),
-            refusal,
+            rejection,
         }
     }
 }
@@ -194,17 +194,17 @@ impl Counters {
         self.passed
     }
 
-    /// Packets passed on unsigned, as a policy accepted them; always 0 towards the secure side.
+    /// Packets passed on unsigned, as a policy accepted them; always 0 towards the link side.
     #[must_use]
     pub const fn unsigned(&self) -> u32 {
         self.unsigned
     }
 
-    /// The sender that the last refused packet named: whoever sent it may have named another. What was
+    /// The sender that the last rejected packet named: whoever sent it may have named another. What was
     /// no whole packet, damaged or of an unknown message, names nobody and is left out.
     #[must_use]
-    pub const fn last_offender(&self) -> Option<Offender> {
-        self.last_offender
+    pub const fn last_rejected(&self) -> Option<RejectedPacket> {
+        self.last_rejected
     }
 
     /// Bytes that belonged to no packet: noise, and packets that were damaged, cut short or unknown.
@@ -213,15 +213,15 @@ impl Counters {
         self.dropped
     }
 
-    /// Packets refused for `reason`.
+    /// Packets rejected for `reason`.
     #[must_use]
-    pub fn refused(&self, reason: Refusal) -> u32 {
-        self.refused.get(reason as usize).copied().unwrap_or(0)
+    pub fn rejected(&self, reason: RejectReason) -> u32 {
+        self.rejected.get(reason as usize).copied().unwrap_or(0)
     }
 
     /// Every reason and how often it was given.
-    pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
-        Refusal::ALL.iter().copied().zip(self.refused)
+    pub fn rejections(&self) -> impl Iterator<Item = (RejectReason, u32)> {
+        RejectReason::ALL.iter().copied().zip(self.rejected)
     }
 
     pub(crate) const fn set_dropped(&mut self, dropped: u32) {
@@ -236,10 +236,10 @@ impl Counters {
         *count = count.saturating_add(1);
     }
 
-    /// `offender` is unknown where no packet could be read.
-    pub(crate) fn count_refused(&mut self, reason: Refusal, offender: Option<Offender>) {
-        self.last_offender = offender.or(self.last_offender);
-        if let Some(count) = self.refused.get_mut(reason as usize) {
+    /// `rejected packet` is unknown where no packet could be read.
+    pub(crate) fn count_rejected(&mut self, reason: RejectReason, packet: Option<RejectedPacket>) {
+        self.last_rejected = packet.or(self.last_rejected);
+        if let Some(count) = self.rejected.get_mut(reason as usize) {
             *count = count.saturating_add(1);
         }
     }

@@ -63,13 +63,13 @@ pub(crate) fn send<InputError, Output: Write + WriteReady>(
 
 /// Packets out of a port.
 #[derive(Debug)]
-pub(crate) struct Intake {
+pub(crate) struct PacketReader {
     decoder: Decoder,
     /// When the line was last not silent, in ticks of the timer; `None` when nothing has come since it was.
     heard: Option<u64>,
 }
 
-impl Intake {
+impl PacketReader {
     pub(crate) const fn new(resync: Resync) -> Self {
         Self {
             decoder: Decoder::new(resync, dialect::crc_extra),
@@ -89,12 +89,12 @@ impl Intake {
 
     /// Notes that the port was not read until `now`: what came meanwhile, the sender may have held
     /// back, and that is no silence.
-    pub(crate) fn not_read(&mut self, now: u64) {
+    pub(crate) fn restart_idle_timer(&mut self, now: u64) {
         self.heard = self.heard.map(|_| now);
     }
 
     /// Reads what has arrived, or notices that nothing has for more than `idle` ticks; whether there is
-    /// more to do. To be called when [`Intake::read`] has nothing more.
+    /// more to do. To be called when [`PacketReader::read`] has nothing more.
     pub(crate) fn receive<Input: Read + ReadReady, OutputError>(
         &mut self,
         input: &mut Input,

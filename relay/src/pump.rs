@@ -1,18 +1,18 @@
 //! One direction: bytes in, packets treated, frames out, without waiting.
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Frame, FrameRef, Keys, Profile};
+use mavlink_signing::{Frame, FrameRef, KeyRing, Profile};
 
-use crate::direction::Treat;
-use crate::event::{Counters, Event, Offender};
-use crate::port::{Intake, PortError, send};
+use crate::direction::PacketHandler;
+use crate::event::{Counters, Event, RejectedPacket};
+use crate::port::{PacketReader, PortError, send};
 use crate::{Clock, Link};
 
 /// A direction of the relay.
 #[derive(Debug)]
 pub(crate) struct Pump<T> {
-    intake: Intake,
-    treat: T,
+    reader: PacketReader,
+    handler: T,
     sending: Option<Sending>,
     counters: Counters,
 }
@@ -29,8 +29,8 @@ impl<T> Pump<T> {
         &self.counters
     }
 
-    pub(crate) const fn treat_mut(&mut self) -> &mut T {
-        &mut self.treat
+    pub(crate) const fn handler_mut(&mut self) -> &mut T {
+        &mut self.handler
     }
 
     /// The frame of which no byte has left: every frame is here when a turn has ended in which it was
@@ -41,21 +41,21 @@ impl<T> Pump<T> {
     }
 }
 
-impl<T: Treat> Pump<T> {
-    pub(crate) fn new(treat: T) -> Self {
+impl<T: PacketHandler> Pump<T> {
+    pub(crate) fn new(handler: T) -> Self {
         Self {
-            intake: Intake::new(T::RESYNC),
-            treat,
+            reader: PacketReader::new(T::RESYNC),
+            handler,
             sending: None,
             counters: Counters::default(),
         }
     }
 
     /// The same direction, which treats packets otherwise from now on.
-    pub(crate) fn map<U: Treat>(self, change: impl FnOnce(T) -> U) -> Pump<U> {
+    pub(crate) fn map<U: PacketHandler>(self, change: impl FnOnce(T) -> U) -> Pump<U> {
         Pump {
-            intake: self.intake,
-            treat: change(self.treat),
+            reader: self.reader,
+            handler: change(self.handler),
             sending: self.sending,
             counters: self.counters,
         }
@@ -73,16 +73,16 @@ impl<T: Treat> Pump<T> {
         let now = clock.timer();
         let sent = self.send(output)?;
         if sent || self.sending.is_some() {
-            self.intake.not_read(now);
+            self.reader.restart_idle_timer(now);
         }
         // The frame being sent is the bound on memory: no next one before it has left.
         if self.sending.is_some() {
             return Ok(sent);
         }
-        if self.treat_next(&mut link.keys, clock, observe) {
+        if self.process_next(&mut link.keys, clock, observe) {
             return Ok(true);
         }
-        let received = self.intake.receive(input, link.idle, now)?;
+        let received = self.reader.receive(input, link.idle, now)?;
         Ok(sent || received)
     }
 
@@ -102,31 +102,32 @@ impl<T: Treat> Pump<T> {
     }
 
     /// Looks at the next packet that has arrived; whether there was one.
-    fn treat_next<P: Profile>(
+    fn process_next<P: Profile>(
         &mut self,
-        keys: &mut Keys<P>,
+        keys: &mut KeyRing<P>,
         clock: &mut impl Clock,
         observe: &mut impl FnMut(Event),
     ) -> bool {
-        let decoded = self.intake.read();
-        let treated = decoded.map(|decoded| match decoded {
+        let decoded = self.reader.read();
+        let processed = decoded.map(|decoded| match decoded {
             Ok(packet) => {
-                let treated = self.treat.treat(packet, keys, clock);
-                treated.map_err(|refusal| (refusal, Some(Offender::new(&packet, refusal))))
+                let processed = self.handler.process(packet, keys, clock);
+                processed
+                    .map_err(|rejection| (rejection, Some(RejectedPacket::new(&packet, rejection))))
             }
             Err(error) => Err((error.into(), None)),
         });
-        self.counters.set_dropped(self.intake.dropped());
-        match treated {
+        self.counters.set_dropped(self.reader.dropped());
+        match processed {
             None => return false,
             Some(Ok((frame, event))) => {
                 self.sending = Some(Sending { frame, sent: 0 });
                 self.counters.count_passed(event);
                 observe(event);
             }
-            Some(Err((refusal, offender))) => {
-                self.counters.count_refused(refusal, offender);
-                observe(Event::Refused(T::DIRECTION, refusal));
+            Some(Err((rejection, rejected))) => {
+                self.counters.count_rejected(rejection, rejected);
+                observe(Event::Rejected(T::DIRECTION, rejection));
             }
         }
         true

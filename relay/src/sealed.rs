@@ -1,30 +1,30 @@
 //! One end of a sealed link: MAVLink in the clear on one side, a radio on the other.
 //!
 //! ```text
-//! plain side         packed, sealed, framed as air data         radio
+//! local side         packed, sealed, framed as air data         radio
 //! (autopilot,      ------------------------------------>   (the other ends)
 //!  ground station) <------------------------------------
 //!                   only packets out of opened packages
 //! ```
 //!
-//! * Plain side to radio: packets with a right checksum, of MAVLink 1 or 2, signed or not, whole and
+//! * Local side to radio: packets with a right checksum, of MAVLink 1 or 2, signed or not, whole and
 //!   unchanged. They wait for one another until a message is full or a HEARTBEAT comes, or until the first has
-//!   waited for the patience. A packet of more than 80 bytes fits into no message: it is refused and counted.
-//! * Radio to plain side: the packets of packages that a permitted sender sealed, each package once. All
-//!   else is refused and counted by reason. No packet that came from the radio goes out on it again.
+//!   waited for the maximum delay. A packet of more than 80 bytes fits into no message: it is rejected and counted.
+//! * Radio to local side: the packets of packages that a permitted sender sealed, each package once. All
+//!   else is rejected and counted by reason. No packet that came from the radio goes out on it again.
 //! * The end asks its radio for its status every second. The answer, which nothing protects, becomes
 //!   VEHICLE_RADIO, which a vehicle sends to its stations, or GCS_RADIO, which a station hands to its program.
 //!
 //! # Over a restart
 //!
-//! No counter is used twice, and no package is opened twice, wherever the power failed: [`Marks`].
+//! No counter is used twice, and no package is opened twice, wherever the power failed: [`HighWaterMarks`].
 //!
 //! | choice | price |
 //! |---|---|
 //! | the mark of the counters to seal with is up to [`SENT_RESERVATION`] ahead | a restart uses up so many of 2^32 |
-//! | that of those accepted is up to [`ACCEPTED_RESERVATION`] ahead | after a restart, so many packages of each peer may be refused |
+//! | that of those accepted is up to [`ACCEPTED_RESERVATION`] ahead | after a restart, so many packages of each peer may be rejected |
 //! | a mark is stored for each so many packages | flash: see `mavseal-store`, Wear |
-//! | what cannot be remembered is refused | with a worn-out flash the link ends: [`Refusal::NotStored`] |
+//! | what cannot be remembered is rejected | with a worn-out flash the link ends: [`RejectReason::NotStored`] |
 //!
 //! Marks belong to keys. Whoever changes a key erases its mark; nobody erases a mark and keeps the key. They
 //! are told apart by their order alone: a peer that is taken out, or another order, would hand one peer's mark
@@ -32,7 +32,7 @@
 
 mod event;
 
-pub use event::{Counters, Event, Refusal};
+pub use event::{Counters, Event, RejectReason};
 
 use core::fmt;
 use core::time::Duration;
@@ -42,13 +42,13 @@ use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 use mavlink_commsec::radio::{Answer, RADIO_PACKET_SIZE, Request, Status};
 use mavlink_commsec::{
-    AesGcm, Cipher, Credential, Message, Opener, Packer, PermitError, Sealer, SenderId, field, hx,
+    AesGcm, Cipher, Credential, Opener, Packer, PermitError, Plaintext, Sealer, SenderId, field, hx,
 };
 use mavlink_signing::{Resync, TICKS_PER_SECOND};
-use mavseal_store::Mark;
+use mavseal_store::HighWaterMark;
 
 use crate::event::Direction;
-use crate::port::{Intake, PortError, READ_SIZE, send};
+use crate::port::{PacketReader, PortError, READ_SIZE, send};
 use crate::{IDLE, Polled, Port};
 
 /// How far the mark is stored ahead of the counters that this end seals with.
@@ -71,29 +71,29 @@ pub enum Radio {
         /// The part of it that answers for the radio.
         component_id: u8,
     },
-    /// A ground station's: GCS_RADIO to its program, on the plain side.
+    /// A ground station's: GCS_RADIO to its program, on the local side.
     Station,
 }
 
 /// What an end remembers over a restart: numbers above every counter that it has used or accepted.
-pub struct Marks<F, const N: usize> {
+pub struct HighWaterMarks<F, const N: usize> {
     /// Above every counter that this end has sealed with.
-    pub sent: Mark<F>,
+    pub sent: HighWaterMark<F>,
     /// Above every counter that was accepted of each peer, in the order of the peers.
-    pub accepted: [Mark<F>; N],
+    pub accepted: [HighWaterMark<F>; N],
 }
 
 /// One end of a sealed link with `N` peers. See the [module's documentation](self).
-pub struct End<F, const N: usize, C: Cipher = AesGcm> {
-    outward: Outward<F, C>,
-    inward: Inward<F, N, C>,
-    radio: Asking,
+pub struct SealedEndpoint<F, const N: usize, C: Cipher = AesGcm> {
+    outward: Egress<F, C>,
+    inward: Ingress<F, N, C>,
+    radio: RadioPoller,
 }
 
-impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
+impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
     /// The end that seals as `own` and opens what `peers` have sealed, from where `marks` say.
     ///
-    /// No packet waits for others for longer than twice `patience`, if [`End::poll`] is called as often as it
+    /// No packet waits for others for longer than twice `maximum delay`, if [`SealedEndpoint::poll`] is called as often as it
     /// asks for.
     ///
     /// # Errors
@@ -102,11 +102,11 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
     pub fn new(
         own: &Credential,
         peers: &[Credential; N],
-        marks: Marks<F, N>,
+        marks: HighWaterMarks<F, N>,
         radio: Radio,
-        patience: Duration,
+        max_delay: Duration,
     ) -> Result<Self, PermitError> {
-        let Marks { sent, accepted } = marks;
+        let HighWaterMarks { sent, accepted } = marks;
         // A mark behind the last counter is as good as the last: it seals nothing, and nothing is newer.
         let first = counter(sent.get());
         let last = |sender| {
@@ -115,26 +115,26 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
             // The mark itself was never accepted.
             mark.map_or(0, |(_, mark)| counter(mark.get().saturating_sub(1)))
         };
-        let opener = Opener::of(peers, last)?;
+        let opener = Opener::from_credentials(peers, last)?;
         Ok(Self {
-            outward: Outward {
-                intake: Intake::new(Resync::AnnouncedEnd),
+            outward: Egress {
+                reader: PacketReader::new(Resync::AnnouncedEnd),
                 idle: IDLE,
-                packer: Packer::new(patience),
+                packer: Packer::new(max_delay),
                 sealer: Sealer::resume(own.prepare()?, own.id, first),
                 mark: sent,
-                line: Line::new(),
+                line: TxBuffer::new(),
                 counters: Counters::default(),
             },
-            inward: Inward {
+            inward: Ingress {
                 decoder: hx::Decoder::new(),
                 opener,
                 peers: peers.each_ref().map(|peer| peer.id),
                 marks: accepted,
-                line: Line::new(),
+                line: TxBuffer::new(),
                 counters: Counters::default(),
             },
-            radio: Asking {
+            radio: RadioPoller {
                 radio,
                 asked: None,
                 unanswered: 0,
@@ -144,7 +144,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
         })
     }
 
-    /// The same end with `ticks` of silence on the plain side in place of [`IDLE`]: longer than any pause
+    /// The same end with `ticks` of silence on the local side in place of [`IDLE`]: longer than any pause
     /// within a packet.
     #[must_use]
     pub const fn idle(mut self, ticks: u64) -> Self {
@@ -159,22 +159,22 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
     /// `now` is the time since any start in ticks of 10 microseconds, by a timer that never goes back.
     /// `observe` sees what became of everything, in order. Call it again at once while
     /// [`Polled::moved`]; otherwise when a port has become ready, and at least every [`IDLE`] and every
-    /// patience. In what it returns, the radio is the secure side.
-    pub fn poll<Plain: Port, Air: Port>(
+    /// maximum delay. In what it returns, the radio is the link side.
+    pub fn poll<Local: Port, Air: Port>(
         &mut self,
-        plain: &mut Plain,
+        local: &mut Local,
         air: &mut Air,
         now: u64,
         observe: &mut impl FnMut(Event),
-    ) -> Polled<Plain::Error, Air::Error> {
+    ) -> Polled<Local::Error, Air::Error> {
         let Self {
             outward,
             inward,
             radio,
         } = self;
         Polled {
-            plain_to_secure: outward.poll(plain, air, radio, now, observe),
-            secure_to_plain: inward.poll(air, plain, radio, observe),
+            outbound: outward.poll(local, air, radio, now, observe),
+            inbound: inward.poll(air, local, radio, observe),
         }
     }
 
@@ -184,18 +184,18 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
         self.outward.sealer.next_counter()
     }
 
-    /// Every peer, and the counter up to which everything of his is refused.
+    /// Every peer, and the counter up to which everything of his is rejected.
     pub fn peers(&self) -> impl Iterator<Item = (SenderId, u32)> {
         self.inward.opener.senders()
     }
 
-    /// What has been sealed and refused on its way to the radio.
+    /// What has been sealed and rejected on its way to the radio.
     #[must_use]
     pub const fn sealed(&self) -> &Counters {
         &self.outward.counters
     }
 
-    /// What has been opened and refused on its way from the radio.
+    /// What has been opened and rejected on its way from the radio.
     #[must_use]
     pub const fn opened(&self) -> &Counters {
         &self.inward.counters
@@ -203,14 +203,14 @@ impl<F: NorFlash, const N: usize, C: Cipher> End<F, N, C> {
 
     /// The flashes of the marks, for what else they hold.
     pub fn into_flashes(self) -> (F, [F; N]) {
-        let accepted = self.inward.marks.map(Mark::into_flash);
+        let accepted = self.inward.marks.map(HighWaterMark::into_flash);
         (self.outward.mark.into_flash(), accepted)
     }
 }
 
-impl<F, const N: usize, C: Cipher> fmt::Debug for End<F, N, C> {
+impl<F, const N: usize, C: Cipher> fmt::Debug for SealedEndpoint<F, N, C> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("End")
+        f.debug_struct("SealedEndpoint")
             .field("sealed", &self.outward.counters)
             .field("opened", &self.inward.counters)
             .finish_non_exhaustive()
@@ -222,12 +222,12 @@ fn counter(mark: u64) -> u32 {
 }
 
 /// Bytes that leave one after the other.
-struct Line<const SIZE: usize> {
+struct TxBuffer<const SIZE: usize> {
     bytes: Vec<u8, SIZE>,
     sent: usize,
 }
 
-impl<const SIZE: usize> Line<SIZE> {
+impl<const SIZE: usize> TxBuffer<SIZE> {
     const fn new() -> Self {
         Self {
             bytes: Vec::new(),
@@ -261,31 +261,31 @@ impl<const SIZE: usize> Line<SIZE> {
     }
 }
 
-/// From the plain side to the radio.
-struct Outward<F, C: Cipher> {
-    intake: Intake,
+/// From the local side to the radio.
+struct Egress<F, C: Cipher> {
+    reader: PacketReader,
     /// Ticks of silence that end a packet.
     idle: u64,
     packer: Packer,
     sealer: Sealer<C>,
-    mark: Mark<F>,
-    line: Line<{ hx::MAX_ENCODED_SIZE }>,
+    mark: HighWaterMark<F>,
+    line: TxBuffer<{ hx::MAX_ENCODED_SIZE }>,
     counters: Counters,
 }
 
-impl<F: NorFlash, C: Cipher> Outward<F, C> {
+impl<F: NorFlash, C: Cipher> Egress<F, C> {
     /// One turn; whether there is more to do at once.
     fn poll<Input: Read + ReadReady, Output: Write + WriteReady>(
         &mut self,
         input: &mut Input,
         output: &mut Output,
-        radio: &mut Asking,
+        radio: &mut RadioPoller,
         now: u64,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
         let sent = self.line.send(output)?;
         if sent || !self.line.is_empty() {
-            self.intake.not_read(now);
+            self.reader.restart_idle_timer(now);
         }
         // The frame being sent is the bound on memory: no next one before it has left.
         if !self.line.is_empty() {
@@ -297,7 +297,7 @@ impl<F: NorFlash, C: Cipher> Outward<F, C> {
             return Ok(true);
         }
         if let Some(request) = radio.ask(now) {
-            if let Ok(frame) = hx::Frame::new(hx::Tag::Radio, &request.to_wire()) {
+            if let Ok(frame) = hx::Frame::new(hx::FrameKind::Radio, &request.to_wire()) {
                 self.line.put(frame.encode());
             }
             return Ok(true);
@@ -305,12 +305,12 @@ impl<F: NorFlash, C: Cipher> Outward<F, C> {
         let told = radio.vehicle();
         let packed = match &told {
             Some(packet) => Ok(&packet[..]),
-            None => match self.intake.read() {
+            None => match self.reader.read() {
                 Some(Ok(packet)) => Ok(packet.as_bytes()),
                 Some(Err(error)) => Err(error.into()),
                 None => {
-                    let received = self.intake.receive(input, self.idle, now)?;
-                    self.counters.set_dropped(self.intake.dropped());
+                    let received = self.reader.receive(input, self.idle, now)?;
+                    self.counters.set_dropped(self.reader.dropped());
                     return Ok(sent || received);
                 }
             },
@@ -324,54 +324,54 @@ impl<F: NorFlash, C: Cipher> Outward<F, C> {
                     self.seal(&message, observe);
                 }
             }
-            Err(refusal) => self.refuse(refusal, observe),
+            Err(rejection) => self.reject(rejection, observe),
         }
         Ok(true)
     }
 
-    fn seal(&mut self, message: &Message, observe: &mut impl FnMut(Event)) {
+    fn seal(&mut self, message: &Plaintext, observe: &mut impl FnMut(Event)) {
         match self.try_seal(message) {
             Ok(counter) => {
                 self.counters.count_package();
                 observe(Event::Sealed(counter));
             }
-            Err(refusal) => self.refuse(refusal, observe),
+            Err(rejection) => self.reject(rejection, observe),
         }
     }
 
     /// Puts the package on the line; gives its counter.
-    fn try_seal(&mut self, message: &Message) -> Result<u32, Refusal> {
+    fn try_seal(&mut self, message: &Plaintext) -> Result<u32, RejectReason> {
         let counter = self.sealer.next_counter();
-        let counter = counter.ok_or(Refusal::CounterExhausted)?;
+        let counter = counter.ok_or(RejectReason::CounterExhausted)?;
         self.mark.reserve(counter.into(), SENT_RESERVATION)?;
         let package = self.sealer.seal(message)?;
         self.line.put(hx::Frame::from(&package).encode());
         Ok(counter)
     }
 
-    fn refuse(&mut self, refusal: Refusal, observe: &mut impl FnMut(Event)) {
-        self.counters.count_refused(refusal);
-        observe(Event::Refused(Direction::PlainToSecure, refusal));
+    fn reject(&mut self, rejection: RejectReason, observe: &mut impl FnMut(Event)) {
+        self.counters.count_rejected(rejection);
+        observe(Event::Rejected(Direction::Outbound, rejection));
     }
 }
 
-/// From the radio to the plain side.
-struct Inward<F, const N: usize, C: Cipher> {
+/// From the radio to the local side.
+struct Ingress<F, const N: usize, C: Cipher> {
     decoder: hx::Decoder,
     opener: Opener<N, C>,
     peers: [SenderId; N],
-    marks: [Mark<F>; N],
-    line: Line<{ field::MESSAGE_SIZE }>,
+    marks: [HighWaterMark<F>; N],
+    line: TxBuffer<{ field::PLAINTEXT_SIZE }>,
     counters: Counters,
 }
 
-impl<F: NorFlash, const N: usize, C: Cipher> Inward<F, N, C> {
+impl<F: NorFlash, const N: usize, C: Cipher> Ingress<F, N, C> {
     /// One turn; whether there is more to do at once.
     fn poll<Input: Read + ReadReady, Output: Write + WriteReady>(
         &mut self,
         input: &mut Input,
         output: &mut Output,
-        radio: &mut Asking,
+        radio: &mut RadioPoller,
         observe: &mut impl FnMut(Event),
     ) -> Result<bool, PortError<Input::Error, Output::Error>> {
         let mut moved = self.line.send(output)?;
@@ -401,7 +401,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Inward<F, N, C> {
     }
 
     /// Takes the next byte; whether it ended a frame.
-    fn push(&mut self, byte: u8, radio: &mut Asking, observe: &mut impl FnMut(Event)) -> bool {
+    fn push(&mut self, byte: u8, radio: &mut RadioPoller, observe: &mut impl FnMut(Event)) -> bool {
         let Self {
             decoder,
             opener,
@@ -410,37 +410,37 @@ impl<F: NorFlash, const N: usize, C: Cipher> Inward<F, N, C> {
             line,
             counters,
         } = self;
-        let mut refuse = |refusal| {
-            counters.count_refused(refusal);
-            observe(Event::Refused(Direction::SecureToPlain, refusal));
+        let mut reject = |rejection| {
+            counters.count_rejected(rejection);
+            observe(Event::Rejected(Direction::Inbound, rejection));
         };
         let frame = match decoder.push(byte) {
             None => return false,
             Some(Ok(frame)) => frame,
             Some(Err(error)) => {
-                refuse(error.into());
+                reject(error.into());
                 return true;
             }
         };
-        if frame.tag() == hx::Tag::Radio {
+        if frame.kind() == hx::FrameKind::Radio {
             match radio.take(frame.payload()) {
                 Ok(status) => observe(Event::Radio(status)),
-                Err(refusal) => refuse(refusal),
+                Err(rejection) => reject(rejection),
             }
             return true;
         }
-        let opened = opener.open(frame.payload()).map_err(Refusal::from);
+        let opened = opener.open(frame.payload()).map_err(RejectReason::from);
         let opened = opened.and_then(|opened| {
             let mut marks = peers.iter().zip(marks);
             let mark = marks.find(|(peer, _)| **peer == opened.sender());
-            let (_, mark) = mark.ok_or(Refusal::UnknownSender)?;
+            let (_, mark) = mark.ok_or(RejectReason::UnknownSender)?;
             mark.reserve(opened.counter().into(), ACCEPTED_RESERVATION)?;
             Ok(opened)
         });
         let opened = match opened {
             Ok(opened) => opened,
-            Err(refusal) => {
-                refuse(refusal);
+            Err(rejection) => {
+                reject(rejection);
                 return true;
             }
         };
@@ -453,9 +453,9 @@ impl<F: NorFlash, const N: usize, C: Cipher> Inward<F, N, C> {
                     line.put(packet.iter().copied());
                 }
                 Err(error) => {
-                    let refusal = error.into();
-                    counters.count_refused(refusal);
-                    observe(Event::Refused(Direction::SecureToPlain, refusal));
+                    let rejection = error.into();
+                    counters.count_rejected(rejection);
+                    observe(Event::Rejected(Direction::Inbound, rejection));
                 }
             }
         }
@@ -464,7 +464,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Inward<F, N, C> {
 }
 
 /// What is asked of the radio, and what becomes of the answer.
-struct Asking {
+struct RadioPoller {
     radio: Radio,
     /// When it was last asked, in ticks.
     asked: Option<u64>,
@@ -476,7 +476,7 @@ struct Asking {
     answer: Option<Status>,
 }
 
-impl Asking {
+impl RadioPoller {
     /// The question, when it is time for it.
     fn ask(&mut self, now: u64) -> Option<Request> {
         let early = |asked| now.saturating_sub(asked) < STATUS_INTERVAL;
@@ -490,9 +490,12 @@ impl Asking {
 
     /// Takes what the radio says: an answer for each question, so that a radio cannot fill the air with
     /// them.
-    fn take(&mut self, bytes: &[u8]) -> Result<Status, Refusal> {
+    fn take(&mut self, bytes: &[u8]) -> Result<Status, RejectReason> {
         let answer = Answer::from_wire(bytes)?;
-        self.unanswered = self.unanswered.checked_sub(1).ok_or(Refusal::NotAsked)?;
+        self.unanswered = self
+            .unanswered
+            .checked_sub(1)
+            .ok_or(RejectReason::NotAsked)?;
         self.answer = Some(*answer.status());
         Ok(*answer.status())
     }

@@ -3,13 +3,13 @@
 mod ports;
 
 use mavlink_signing::{
-    Admit, Frame, FrameRef, Header, Hmac, Links, MessageId, Packet, RadioStatus, Refuse, Replay,
-    SigningKey, Stamp, Stamper, Streams, Timestamp, UnsignedPolicy, VerifyError, Window,
-    crc::checksum, sign_frame,
+    AllowRadioStatus, AntiReplay, Frame, FrameRef, Header, Hmac, Links, MessageId, Packet,
+    RejectUnsigned, ReplayGuard, SigningKey, Stamp, Stamper, StreamTable, Timestamp,
+    UnsignedPolicy, VerifyError, Window, crc::checksum, sign_frame,
 };
 use mavseal_relay::{
-    Counters, Direction, Event, Forward, IDLE, Offender, PortError, Refusal, Relay, SameLinkId,
-    Signer, Verifier,
+    Counters, Direction, Event, ForwardMode, IDLE, PortError, RejectReason, RejectedPacket, Relay,
+    SameLinkId, Signer, Verifier,
 };
 use ports::{Broken, Line};
 
@@ -23,31 +23,31 @@ const SILENCE: u64 = 10_000;
 const MANY: u32 = 100_000;
 
 /// A relay, its two lines and its clock.
-struct Bench<R = Replay, U = Refuse> {
+struct Bench<R = ReplayGuard, U = RejectUnsigned> {
     relay: Relay<Hmac, R, U>,
-    plain: Line,
-    secure: Line,
+    local: Line,
+    link: Line,
     now: u64,
     events: Vec<Event>,
 }
 
 impl Bench {
     fn new() -> Self {
-        Self::with(Stamper::new(LINK_OUT), Forward::Stripped)
+        Self::with(Stamper::new(LINK_OUT), ForwardMode::StripSignature)
     }
 
-    fn with(stamper: Stamper, forward: Forward) -> Self {
-        let replay = Replay::new(LINK_IN, Window::SEED);
+    fn with(stamper: Stamper, forward: ForwardMode) -> Self {
+        let replay = ReplayGuard::new(LINK_IN, Window::STRICT);
         Self::of(Relay::new(key(), stamper, replay, forward).expect("different links"))
     }
 }
 
-impl<R: Admit, U: UnsignedPolicy> Bench<R, U> {
+impl<R: AntiReplay, U: UnsignedPolicy> Bench<R, U> {
     fn of(relay: Relay<Hmac, R, U>) -> Self {
         Self {
             relay,
-            plain: Line::new(),
-            secure: Line::new(),
+            local: Line::new(),
+            link: Line::new(),
             now: NOW,
             events: Vec::new(),
         }
@@ -63,21 +63,19 @@ impl<R: Admit, U: UnsignedPolicy> Bench<R, U> {
 
     fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
         let mut clock = || at(self.now);
-        self.relay.poll(
-            &mut self.plain,
-            &mut self.secure,
-            &mut clock,
-            &mut |event| self.events.push(event),
-        )
+        self.relay
+            .poll(&mut self.local, &mut self.link, &mut clock, &mut |event| {
+                self.events.push(event)
+            })
     }
 
-    fn plain_in(&mut self, bytes: &[u8]) {
-        self.plain.input.extend(bytes);
+    fn local_in(&mut self, bytes: &[u8]) {
+        self.local.input.extend(bytes);
         self.run();
     }
 
-    fn secure_in(&mut self, bytes: &[u8]) {
-        self.secure.input.extend(bytes);
+    fn link_in(&mut self, bytes: &[u8]) {
+        self.link.input.extend(bytes);
         self.run();
     }
 }
@@ -112,11 +110,11 @@ fn signed(payload: &[u8], link_id: u8, ticks: u64) -> Frame {
 }
 
 /// Every reason that has been counted, and how often.
-fn refusals(counters: &Counters) -> Vec<(Refusal, u32)> {
-    let counted: Vec<_> = counters.refusals().collect();
-    let asked = Refusal::ALL.iter();
+fn rejections(counters: &Counters) -> Vec<(RejectReason, u32)> {
+    let counted: Vec<_> = counters.rejections().collect();
+    let asked = RejectReason::ALL.iter();
     let asked: Vec<_> = asked
-        .map(|&reason| (reason, counters.refused(reason)))
+        .map(|&reason| (reason, counters.rejected(reason)))
         .collect();
     assert_eq!(counted, asked);
     counted
@@ -135,10 +133,10 @@ fn damaged(bytes: &[u8], offset: usize, flip: u8) -> Vec<u8> {
 const MAVLINK1: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
 
 #[test]
-fn signs_what_comes_from_the_plain_side() {
+fn signs_what_comes_from_the_local_side() {
     let mut bench = Bench::new();
     for length in [0, 1, 9, 255] {
-        bench.plain_in(unsigned(&vec![7; length]).as_bytes());
+        bench.local_in(unsigned(&vec![7; length]).as_bytes());
         bench.now += 100;
     }
     let mut expected = Vec::new();
@@ -148,244 +146,244 @@ fn signs_what_comes_from_the_plain_side() {
         assert_eq!(tag, &hmac_sha256::HMAC::mac(covered, KEY)[..6]);
         expected.extend(frame.as_bytes());
     }
-    assert_eq!(bench.secure.output, expected);
-    assert!(bench.plain.output.is_empty());
-    assert_eq!(bench.relay.plain_to_secure().passed(), 4);
-    assert_eq!(bench.events, [Event::Passed(Direction::PlainToSecure); 4]);
+    assert_eq!(bench.link.output, expected);
+    assert!(bench.local.output.is_empty());
+    assert_eq!(bench.relay.outbound().passed(), 4);
+    assert_eq!(bench.events, [Event::Passed(Direction::Outbound); 4]);
 }
 
 #[test]
-fn what_must_not_be_signed_is_refused_and_counted() {
+fn what_must_not_be_signed_is_rejected_and_counted() {
     let mut bench = Bench::new();
     let frame = unsigned(&[1, 2, 3]);
-    bench.plain_in(&damaged(frame.as_bytes(), 10, 4));
-    bench.plain_in(&damaged(frame.as_bytes(), 9, 0x80));
-    bench.plain_in(&damaged(frame.as_bytes(), 2, 0x20));
-    bench.plain_in(&MAVLINK1);
-    bench.plain_in(signed(&[1, 2, 3], LINK_OUT, NOW).as_bytes());
-    bench.plain_in(b"noise");
-    assert!(bench.secure.output.is_empty());
+    bench.local_in(&damaged(frame.as_bytes(), 10, 4));
+    bench.local_in(&damaged(frame.as_bytes(), 9, 0x80));
+    bench.local_in(&damaged(frame.as_bytes(), 2, 0x20));
+    bench.local_in(&MAVLINK1);
+    bench.local_in(signed(&[1, 2, 3], LINK_OUT, NOW).as_bytes());
+    bench.local_in(b"noise");
+    assert!(bench.link.output.is_empty());
     assert_eq!(
-        refusals(bench.relay.plain_to_secure()),
+        rejections(bench.relay.outbound()),
         [
-            (Refusal::Mavlink1, 1),
-            (Refusal::UnknownIncompatFlags, 1),
-            (Refusal::UnknownMessage, 1),
-            (Refusal::BadChecksum, 1),
-            (Refusal::AlreadySigned, 1),
+            (RejectReason::Mavlink1, 1),
+            (RejectReason::UnknownIncompatFlags, 1),
+            (RejectReason::UnknownMessage, 1),
+            (RejectReason::BadChecksum, 1),
+            (RejectReason::AlreadySigned, 1),
         ]
     );
-    assert_eq!(refusals(bench.relay.secure_to_plain()), []);
-    let refused = Event::Refused(Direction::PlainToSecure, Refusal::BadChecksum);
-    assert_eq!(bench.events.first(), Some(&refused));
+    assert_eq!(rejections(bench.relay.inbound()), []);
+    let rejected = Event::Rejected(Direction::Outbound, RejectReason::BadChecksum);
+    assert_eq!(bench.events.first(), Some(&rejected));
 
-    bench.plain_in(frame.as_bytes());
-    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+    bench.local_in(frame.as_bytes());
+    assert_eq!(bench.relay.outbound().passed(), 1);
 }
 
 #[test]
 fn verified_frames_leave_unsigned_or_whole() {
     let frame = signed(&[1, 2, 3], LINK_IN, NOW);
     let mut bench = Bench::new();
-    bench.secure_in(frame.as_bytes());
-    assert_eq!(bench.plain.output, unsigned(&[1, 2, 3]).as_bytes());
+    bench.link_in(frame.as_bytes());
+    assert_eq!(bench.local.output, unsigned(&[1, 2, 3]).as_bytes());
 
-    let mut bench = Bench::with(Stamper::new(LINK_OUT), Forward::Whole);
-    bench.secure_in(frame.as_bytes());
-    assert_eq!(bench.plain.output, frame.as_bytes());
+    let mut bench = Bench::with(Stamper::new(LINK_OUT), ForwardMode::KeepSignature);
+    bench.link_in(frame.as_bytes());
+    assert_eq!(bench.local.output, frame.as_bytes());
 }
 
 #[test]
-fn everything_else_from_the_secure_side_is_refused_and_counted() {
+fn everything_else_from_the_link_side_is_rejected_and_counted() {
     let mut bench = Bench::new();
     let good = signed(&[1, 2, 3], LINK_IN, NOW);
-    bench.secure_in(good.as_bytes());
-    bench.plain.output.clear();
+    bench.link_in(good.as_bytes());
+    bench.local.output.clear();
 
-    bench.secure_in(good.as_bytes());
-    bench.secure_in(unsigned(&[1]).as_bytes());
-    bench.secure_in(signed(&[1], LINK_OUT, NOW + 1).as_bytes());
-    bench.secure_in(signed(&[1], LINK_IN, NOW + 1).as_bytes());
-    bench.secure_in(signed(&[1], LINK_IN, NOW - 1_000_001).as_bytes());
+    bench.link_in(good.as_bytes());
+    bench.link_in(unsigned(&[1]).as_bytes());
+    bench.link_in(signed(&[1], LINK_OUT, NOW + 1).as_bytes());
+    bench.link_in(signed(&[1], LINK_IN, NOW + 1).as_bytes());
+    bench.link_in(signed(&[1], LINK_IN, NOW - 1_000_001).as_bytes());
     let tag_at = good.as_bytes().len() - 1;
-    bench.secure_in(&damaged(good.as_bytes(), tag_at, 1));
-    bench.secure_in(&damaged(good.as_bytes(), 10, 4));
-    bench.secure_in(&damaged(good.as_bytes(), 9, 0x80));
-    bench.secure_in(&damaged(good.as_bytes(), 2, 0x20));
-    bench.secure_in(&MAVLINK1);
+    bench.link_in(&damaged(good.as_bytes(), tag_at, 1));
+    bench.link_in(&damaged(good.as_bytes(), 10, 4));
+    bench.link_in(&damaged(good.as_bytes(), 9, 0x80));
+    bench.link_in(&damaged(good.as_bytes(), 2, 0x20));
+    bench.link_in(&MAVLINK1);
 
-    assert!(bench.plain.output.is_empty());
-    assert!(bench.secure.output.is_empty());
+    assert!(bench.local.output.is_empty());
+    assert!(bench.link.output.is_empty());
     assert_eq!(
-        refusals(bench.relay.secure_to_plain()),
+        rejections(bench.relay.inbound()),
         [
-            (Refusal::Mavlink1, 1),
-            (Refusal::UnknownIncompatFlags, 1),
-            (Refusal::UnknownMessage, 1),
-            (Refusal::BadChecksum, 1),
-            (Refusal::NotSigned, 1),
-            (Refusal::BadTag, 1),
-            (Refusal::WrongLink, 1),
-            (Refusal::FromFuture, 1),
-            (Refusal::TooOld, 1),
-            (Refusal::Replayed, 1),
+            (RejectReason::Mavlink1, 1),
+            (RejectReason::UnknownIncompatFlags, 1),
+            (RejectReason::UnknownMessage, 1),
+            (RejectReason::BadChecksum, 1),
+            (RejectReason::NotSigned, 1),
+            (RejectReason::BadTag, 1),
+            (RejectReason::WrongLink, 1),
+            (RejectReason::FromFuture, 1),
+            (RejectReason::TooOld, 1),
+            (RejectReason::Replayed, 1),
         ]
     );
-    assert_eq!(refusals(bench.relay.plain_to_secure()), []);
+    assert_eq!(rejections(bench.relay.outbound()), []);
 }
 
 #[test]
-fn own_frames_reflected_are_refused() {
+fn own_frames_reflected_are_rejected() {
     let mut bench = Bench::new();
-    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
-    let reflected = bench.secure.output.clone();
-    bench.secure_in(&reflected);
-    assert!(bench.plain.output.is_empty());
-    assert_eq!(bench.relay.secure_to_plain().refused(Refusal::WrongLink), 1);
+    bench.local_in(unsigned(&[1, 2, 3]).as_bytes());
+    let reflected = bench.link.output.clone();
+    bench.link_in(&reflected);
+    assert!(bench.local.output.is_empty());
+    assert_eq!(bench.relay.inbound().rejected(RejectReason::WrongLink), 1);
 }
 
 #[test]
-fn one_link_id_for_both_directions_is_refused() {
-    let replay = Replay::new(5, Window::SEED);
-    let relay = Relay::new(key(), Stamper::new(5), replay, Forward::Stripped);
+fn one_link_id_for_both_directions_is_rejected() {
+    let replay = ReplayGuard::new(5, Window::STRICT);
+    let relay = Relay::new(key(), Stamper::new(5), replay, ForwardMode::StripSignature);
     assert_eq!(relay.expect_err("the same").0, 5);
 }
 
 #[test]
 fn a_stalled_direction_loses_nothing_and_stalls_nothing() {
     let mut bench = Bench::new();
-    bench.plain.room = 10;
+    bench.local.room = 10;
     let mut expected = Vec::new();
     for i in 0..20 {
         let frame = signed(&[i; 100], LINK_IN, NOW + u64::from(i));
-        bench.secure.input.extend(frame.as_bytes());
+        bench.link.input.extend(frame.as_bytes());
         expected.extend_from_slice(unsigned(&[i; 100]).as_bytes());
     }
     bench.now += 20;
     bench.run();
-    assert_eq!(bench.plain.output, expected[..10]);
-    assert!(!bench.secure.input.is_empty(), "memory is bounded");
+    assert_eq!(bench.local.output, expected[..10]);
+    assert!(!bench.link.input.is_empty(), "memory is bounded");
 
     // The other direction goes on.
-    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
-    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+    bench.local_in(unsigned(&[1, 2, 3]).as_bytes());
+    assert_eq!(bench.relay.outbound().passed(), 1);
 
     // One byte at a time.
-    bench.plain.at_once = 1;
+    bench.local.at_once = 1;
     for _ in 0..2 * expected.len() {
-        bench.plain.room = 1;
+        bench.local.room = 1;
         let _ = bench.poll();
     }
-    assert_eq!(bench.plain.output, expected);
+    assert_eq!(bench.local.output, expected);
 }
 
 #[test]
 fn a_broken_port_does_not_stop_the_other_direction() {
     let mut bench = Bench::new();
-    bench.plain.broken = true;
+    bench.local.broken = true;
     bench
-        .secure
+        .link
         .input
         .extend(signed(&[1], LINK_IN, NOW).as_bytes());
     for _ in 0..10 {
         let polled = bench.poll();
-        assert_eq!(polled.plain_to_secure, Err(PortError::Input(Broken)));
+        assert_eq!(polled.outbound, Err(PortError::Input(Broken)));
     }
-    assert_eq!(bench.relay.secure_to_plain().passed(), 1);
+    assert_eq!(bench.relay.inbound().passed(), 1);
 
-    bench.plain.broken = false;
-    bench.plain_in(unsigned(&[1]).as_bytes());
-    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+    bench.local.broken = false;
+    bench.local_in(unsigned(&[1]).as_bytes());
+    assert_eq!(bench.relay.outbound().passed(), 1);
 }
 
 #[test]
 fn a_port_that_takes_nothing_is_closed() {
     let mut bench = Bench::new();
-    bench.secure.at_once = 0;
-    bench.plain.input.extend(unsigned(&[1]).as_bytes());
-    let error = (0..10).find_map(|_| bench.poll().plain_to_secure.err());
+    bench.link.at_once = 0;
+    bench.local.input.extend(unsigned(&[1]).as_bytes());
+    let error = (0..10).find_map(|_| bench.poll().outbound.err());
     assert_eq!(error, Some(PortError::OutputClosed));
 
     // The frame is still there.
-    bench.secure.at_once = 280;
+    bench.link.at_once = 280;
     bench.run();
-    assert_eq!(bench.secure.output, signed(&[1], LINK_OUT, NOW).as_bytes());
+    assert_eq!(bench.link.output, signed(&[1], LINK_OUT, NOW).as_bytes());
 }
 
 #[test]
 fn silence_gives_up_what_noise_began() {
-    // From the secure side the packet behind the noise is found.
+    // From the link side the packet behind the noise is found.
     let mut bench = Bench::new();
-    bench.secure.input.extend([0xFD, 255, 0]);
-    bench.secure_in(signed(&[1, 2, 3], LINK_IN, NOW).as_bytes());
-    assert!(bench.plain.output.is_empty());
+    bench.link.input.extend([0xFD, 255, 0]);
+    bench.link_in(signed(&[1, 2, 3], LINK_IN, NOW).as_bytes());
+    assert!(bench.local.output.is_empty());
     bench.now += SILENCE;
     bench.run();
-    assert!(bench.plain.output.is_empty(), "not yet silent for long");
+    assert!(bench.local.output.is_empty(), "not yet silent for long");
     bench.now += 1;
     bench.run();
-    assert_eq!(bench.relay.secure_to_plain().passed(), 1);
+    assert_eq!(bench.relay.inbound().passed(), 1);
 
-    // On the plain side it may be the noise's payload; the next one is found.
+    // On the local side it may be the noise's payload; the next one is found.
     let mut bench = Bench::new();
-    bench.plain.input.extend([0xFD, 255, 0]);
-    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
+    bench.local.input.extend([0xFD, 255, 0]);
+    bench.local_in(unsigned(&[1, 2, 3]).as_bytes());
     bench.now += SILENCE + 1;
     bench.run();
-    assert!(bench.secure.output.is_empty());
-    assert_eq!(bench.relay.plain_to_secure().dropped(), 3 + 15);
-    bench.plain_in(unsigned(&[1, 2, 3]).as_bytes());
-    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+    assert!(bench.link.output.is_empty());
+    assert_eq!(bench.relay.outbound().dropped(), 3 + 15);
+    bench.local_in(unsigned(&[1, 2, 3]).as_bytes());
+    assert_eq!(bench.relay.outbound().passed(), 1);
 }
 
 #[test]
 fn a_used_up_clock_signs_nothing() {
     let stamper = Stamper::resume(LINK_OUT, Timestamp::MAX);
-    let mut bench = Bench::with(stamper, Forward::Stripped);
-    bench.plain_in(unsigned(&[1]).as_bytes());
-    bench.secure.output.clear();
-    bench.plain_in(unsigned(&[1]).as_bytes());
-    assert!(bench.secure.output.is_empty());
+    let mut bench = Bench::with(stamper, ForwardMode::StripSignature);
+    bench.local_in(unsigned(&[1]).as_bytes());
+    bench.link.output.clear();
+    bench.local_in(unsigned(&[1]).as_bytes());
+    assert!(bench.link.output.is_empty());
     assert_eq!(
-        refusals(bench.relay.plain_to_secure()),
-        [(Refusal::ClockExhausted, 1)]
+        rejections(bench.relay.outbound()),
+        [(RejectReason::TimestampsExhausted, 1)]
     );
 }
 
 #[test]
-fn refused_frames_use_up_no_stamp() {
+fn rejected_frames_use_up_no_stamp() {
     let mut bench = Bench::new();
-    bench.plain_in(signed(&[1], LINK_OUT, NOW).as_bytes());
-    bench.plain_in(&damaged(unsigned(&[1]).as_bytes(), 10, 4));
-    bench.plain_in(unsigned(&[1]).as_bytes());
-    assert_eq!(bench.secure.output, signed(&[1], LINK_OUT, NOW).as_bytes());
+    bench.local_in(signed(&[1], LINK_OUT, NOW).as_bytes());
+    bench.local_in(&damaged(unsigned(&[1]).as_bytes(), 10, 4));
+    bench.local_in(unsigned(&[1]).as_bytes());
+    assert_eq!(bench.link.output, signed(&[1], LINK_OUT, NOW).as_bytes());
 }
 
 #[test]
 fn both_directions_at_once_in_pieces() {
     for size in [1, 3, 64, 65, 1000] {
         let mut bench = Bench::new();
-        let (mut plain, mut secure) = (Vec::new(), Vec::new());
+        let (mut local, mut link) = (Vec::new(), Vec::new());
         let (mut signed_out, mut stripped) = (Vec::new(), Vec::new());
         for i in 0..60_u8 {
             let payload = vec![i; usize::from(i) * 4];
-            plain.extend(unsigned(&payload).as_bytes());
+            local.extend(unsigned(&payload).as_bytes());
             signed_out.extend_from_slice(signed(&payload, LINK_OUT, NOW + u64::from(i)).as_bytes());
-            secure.extend(signed(&payload, LINK_IN, NOW - 60 + u64::from(i)).as_bytes());
+            link.extend(signed(&payload, LINK_IN, NOW - 60 + u64::from(i)).as_bytes());
             stripped.extend_from_slice(unsigned(&payload).as_bytes());
         }
-        let (mut plain, mut secure) = (plain.chunks(size), secure.chunks(size));
+        let (mut local, mut link) = (local.chunks(size), link.chunks(size));
         loop {
-            let next = (plain.next(), secure.next());
-            bench.plain.input.extend(next.0.unwrap_or_default());
-            bench.secure.input.extend(next.1.unwrap_or_default());
+            let next = (local.next(), link.next());
+            bench.local.input.extend(next.0.unwrap_or_default());
+            bench.link.input.extend(next.1.unwrap_or_default());
             bench.run();
             if next == (None, None) {
                 break;
             }
         }
-        assert_eq!(bench.secure.output, signed_out, "pieces of {size}");
-        assert_eq!(bench.plain.output, stripped, "pieces of {size}");
+        assert_eq!(bench.link.output, signed_out, "pieces of {size}");
+        assert_eq!(bench.local.output, stripped, "pieces of {size}");
     }
 }
 
@@ -393,55 +391,60 @@ fn both_directions_at_once_in_pieces() {
 fn a_stall_is_no_silence() {
     let mut bench = Bench::new();
     let (first, second) = (unsigned(&[1; 50]), unsigned(&[2; 50]));
-    bench.secure.room = 10;
+    bench.link.room = 10;
     let (begun, held_back) = second.as_bytes().split_at(20);
-    bench.plain.input.extend(first.as_bytes());
-    bench.plain_in(begun);
+    bench.local.input.extend(first.as_bytes());
+    bench.local_in(begun);
     for _ in 0..10 {
         bench.now += SILENCE;
         bench.run();
     }
-    bench.secure.room = usize::MAX;
+    bench.link.room = usize::MAX;
     bench.run();
-    bench.plain_in(held_back);
-    assert_eq!(bench.relay.plain_to_secure().passed(), 2);
-    assert_eq!(bench.relay.plain_to_secure().dropped(), 0);
+    bench.local_in(held_back);
+    assert_eq!(bench.relay.outbound().passed(), 2);
+    assert_eq!(bench.relay.outbound().dropped(), 0);
 }
 
 #[test]
 fn silence_is_as_long_as_one_says() {
     let mut bench = Bench::new();
     bench.relay = {
-        let replay = Replay::new(LINK_IN, Window::SEED);
-        let relay = Relay::new(key(), Stamper::new(LINK_OUT), replay, Forward::Stripped);
+        let replay = ReplayGuard::new(LINK_IN, Window::STRICT);
+        let relay = Relay::new(
+            key(),
+            Stamper::new(LINK_OUT),
+            replay,
+            ForwardMode::StripSignature,
+        );
         relay.expect("different links").idle(10 * SILENCE)
     };
     let frame = unsigned(&[1, 2, 3]);
     let (begun, rest) = frame.as_bytes().split_at(5);
-    bench.plain_in(begun);
+    bench.local_in(begun);
     bench.now += 10 * SILENCE;
-    bench.plain_in(rest);
-    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
+    bench.local_in(rest);
+    assert_eq!(bench.relay.outbound().passed(), 1);
 
-    bench.plain_in(begun);
+    bench.local_in(begun);
     bench.now += 10 * SILENCE + 1;
     bench.run();
-    bench.plain_in(rest);
-    assert_eq!(bench.relay.plain_to_secure().passed(), 1);
-    let dropped = bench.relay.plain_to_secure().dropped();
+    bench.local_in(rest);
+    assert_eq!(bench.relay.outbound().passed(), 1);
+    let dropped = bench.relay.outbound().dropped();
     assert_eq!(dropped as usize, frame.as_bytes().len());
 }
 
 #[test]
-fn a_payload_of_the_plain_side_is_not_signed_for_a_packet() {
+fn a_payload_of_the_local_side_is_not_signed_for_a_packet() {
     let inner = unsigned(&[1, 2, 3]);
     let mut outer = unsigned(inner.as_bytes()).as_bytes().to_vec();
     outer[7..10].copy_from_slice(&[0xF0; 3]);
     let mut bench = Bench::new();
-    bench.plain_in(&outer);
-    assert!(bench.secure.output.is_empty());
-    let refused = refusals(bench.relay.plain_to_secure());
-    assert_eq!(refused, [(Refusal::UnknownMessage, 1)]);
+    bench.local_in(&outer);
+    assert!(bench.link.output.is_empty());
+    let rejected = rejections(bench.relay.outbound());
+    assert_eq!(rejected, [(RejectReason::UnknownMessage, 1)]);
 }
 
 #[test]
@@ -455,49 +458,52 @@ fn setup_signing_passes_in_no_direction() {
     };
     let mut frame = Frame::new(header, &[7; 42]).expect("a frame");
     let mut bench = Bench::new();
-    bench.plain_in(frame.as_bytes());
+    bench.local_in(frame.as_bytes());
     let stamp = Stamp {
         link_id: LINK_IN,
         timestamp: at(NOW),
     };
     sign_frame(&mut frame, &key(), stamp).expect("signed");
-    bench.secure_in(frame.as_bytes());
-    assert!(bench.plain.output.is_empty() && bench.secure.output.is_empty());
-    let expected = [(Refusal::SetupSigning, 1)];
-    assert_eq!(refusals(bench.relay.plain_to_secure()), expected);
-    assert_eq!(refusals(bench.relay.secure_to_plain()), expected);
+    bench.link_in(frame.as_bytes());
+    assert!(bench.local.output.is_empty() && bench.link.output.is_empty());
+    let expected = [(RejectReason::SetupSigning, 1)];
+    assert_eq!(rejections(bench.relay.outbound()), expected);
+    assert_eq!(rejections(bench.relay.inbound()), expected);
 }
 
 #[test]
 fn a_port_that_gives_nothing_has_ended() {
     let mut bench = Bench::new();
-    bench.plain.ended = true;
+    bench.local.ended = true;
     let polled = bench.poll();
-    assert_eq!(polled.plain_to_secure, Err(PortError::InputClosed));
-    assert_eq!(polled.secure_to_plain, Ok(false));
+    assert_eq!(polled.outbound, Err(PortError::InputClosed));
+    assert_eq!(polled.inbound, Ok(false));
 }
 
 /// A shell may have a table of its own, which knows other messages than the core's.
 #[test]
-fn what_the_cores_table_does_not_know_is_refused() {
+fn what_the_cores_table_does_not_know_is_rejected() {
     fn packet(bytes: &[u8]) -> Packet<'_> {
         Packet::parse(bytes, |_| Some(0)).expect("a packet")
     }
-    for (id, reason) in [(0, Refusal::BadChecksum), (0xF0, Refusal::UnknownMessage)] {
-        let mut plain = unsigned(&[1]).as_bytes().to_vec();
-        let mut secure = signed(&[1], LINK_IN, NOW).as_bytes().to_vec();
-        for bytes in [&mut plain, &mut secure] {
+    for (id, reason) in [
+        (0, RejectReason::BadChecksum),
+        (0xF0, RejectReason::UnknownMessage),
+    ] {
+        let mut local = unsigned(&[1]).as_bytes().to_vec();
+        let mut link = signed(&[1], LINK_IN, NOW).as_bytes().to_vec();
+        for bytes in [&mut local, &mut link] {
             bytes[7..10].fill(id);
             let repaired = checksum(&bytes[1..11], 0).to_le_bytes();
             bytes[11..13].copy_from_slice(&repaired);
         }
         let mut signer = Signer::new(Stamper::new(LINK_OUT));
-        let refused = signer.sign(packet(&plain), &key(), &mut at(NOW));
-        assert_eq!(refused, Err(reason));
-        let replay = Replay::new(LINK_IN, Window::SEED);
-        let mut verifier = Verifier::new(replay, Forward::Stripped);
-        let refused = verifier.verify(packet(&secure), &mut &key(), &mut at(NOW));
-        assert_eq!(refused, Err(reason));
+        let rejected = signer.sign(packet(&local), &key(), &mut at(NOW));
+        assert_eq!(rejected, Err(reason));
+        let replay = ReplayGuard::new(LINK_IN, Window::STRICT);
+        let mut verifier = Verifier::new(replay, ForwardMode::StripSignature);
+        let rejected = verifier.verify(packet(&link), &mut &key(), &mut at(NOW));
+        assert_eq!(rejected, Err(reason));
     }
 }
 
@@ -507,23 +513,26 @@ fn errors_of_the_core_are_reasons() {
     let mut frame = signed(&[1], LINK_IN, NOW);
     let flags = damaged(frame.as_bytes(), 2, 0x20);
     let error = FrameRef::parse(&flags).expect_err("unknown flags");
-    let reason = Refusal::from(VerifyError::from(error));
-    assert_eq!(reason, Refusal::UnknownIncompatFlags);
+    let reason = RejectReason::from(VerifyError::from(error));
+    assert_eq!(reason, RejectReason::UnknownIncompatFlags);
 
     let stamp = Stamp {
         link_id: LINK_IN,
         timestamp: at(NOW),
     };
     let error = sign_frame(&mut frame, &key(), stamp).expect_err("signed twice");
-    assert_eq!(Refusal::from(error), Refusal::AlreadySigned);
-    assert_eq!(Refusal::from(VerifyError::Signed), Refusal::AlreadySigned);
+    assert_eq!(RejectReason::from(error), RejectReason::AlreadySigned);
+    assert_eq!(
+        RejectReason::from(VerifyError::Signed),
+        RejectReason::AlreadySigned
+    );
 }
 
 #[test]
 fn what_is_wrong_is_said() {
-    let words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
-    let same = |reason: &Refusal| reason.to_string() == reason.as_str();
-    assert!(Refusal::ALL.iter().all(same));
+    let words: Vec<_> = RejectReason::ALL.iter().map(ToString::to_string).collect();
+    let same = |reason: &RejectReason| reason.to_string() == reason.as_str();
+    assert!(RejectReason::ALL.iter().all(same));
     assert_eq!(
         words,
         [
@@ -567,9 +576,9 @@ fn what_is_wrong_is_said() {
 #[test]
 fn a_relay_is_shown_by_its_counters() {
     let mut bench = Bench::new();
-    bench.plain_in(unsigned(&[1]).as_bytes());
+    bench.local_in(unsigned(&[1]).as_bytes());
     let shown = format!("{:?}", bench.relay);
-    let (out, back) = (bench.relay.plain_to_secure(), bench.relay.secure_to_plain());
+    let (out, back) = (bench.relay.outbound(), bench.relay.inbound());
     assert_eq!(
         shown,
         format!("Relay {{ plain_to_secure: {out:?}, secure_to_plain: {back:?}, .. }}")
@@ -579,9 +588,13 @@ fn a_relay_is_shown_by_its_counters() {
 
 #[test]
 fn a_policy_lets_unsigned_frames_through_as_they_are() {
-    let (stamper, replay) = (Stamper::new(LINK_OUT), Replay::new(LINK_IN, Window::SEED));
-    let relay = Relay::new(key(), stamper, replay, Forward::Stripped).expect("different links");
-    let mut bench = Bench::of(relay.accepting(RadioStatus));
+    let (stamper, replay) = (
+        Stamper::new(LINK_OUT),
+        ReplayGuard::new(LINK_IN, Window::STRICT),
+    );
+    let relay =
+        Relay::new(key(), stamper, replay, ForwardMode::StripSignature).expect("different links");
+    let mut bench = Bench::of(relay.accepting(AllowRadioStatus));
     let radio_status = Header {
         compat_flags: 0,
         sequence: 1,
@@ -590,86 +603,96 @@ fn a_policy_lets_unsigned_frames_through_as_they_are() {
         message_id: MessageId::from(109),
     };
     let radio_status = Frame::new(radio_status, &[0, 0, 1]).expect("a frame");
-    bench.secure_in(radio_status.as_bytes());
-    bench.secure_in(unsigned(&[1, 2, 3]).as_bytes());
+    bench.link_in(radio_status.as_bytes());
+    bench.link_in(unsigned(&[1, 2, 3]).as_bytes());
     let verified = signed(&[1, 2, 3], LINK_IN, NOW);
-    bench.secure_in(verified.as_bytes());
+    bench.link_in(verified.as_bytes());
 
-    let passed = Event::Passed(Direction::SecureToPlain);
-    let refused = Event::Refused(Direction::SecureToPlain, Refusal::NotSigned);
-    assert_eq!(bench.events, [Event::Unsigned, refused, passed]);
+    let passed = Event::Passed(Direction::Inbound);
+    let rejected = Event::Rejected(Direction::Inbound, RejectReason::NotSigned);
+    assert_eq!(bench.events, [Event::Unsigned, rejected, passed]);
     let expected = [radio_status.as_bytes(), unsigned(&[1, 2, 3]).as_bytes()].concat();
-    assert_eq!(bench.plain.output, expected);
-    let counters = bench.relay.secure_to_plain();
+    assert_eq!(bench.local.output, expected);
+    let counters = bench.relay.inbound();
     assert_eq!((counters.passed(), counters.unsigned()), (1, 1));
-    assert_eq!(bench.relay.plain_to_secure().unsigned(), 0);
+    assert_eq!(bench.relay.outbound().unsigned(), 0);
 }
 
 #[test]
 fn several_peers_each_have_their_order() {
-    let streams = Streams::<2>::new(Links::Any, Window::SEED);
-    let relay = Relay::new(key(), Stamper::new(LINK_OUT), streams, Forward::Whole);
+    let streams = StreamTable::<2>::new(Links::Any, Window::STRICT);
+    let relay = Relay::new(
+        key(),
+        Stamper::new(LINK_OUT),
+        streams,
+        ForwardMode::KeepSignature,
+    );
     let mut bench = Bench::of(relay.expect("different links"));
     for (link_id, ticks) in [(2, NOW), (3, NOW - 5), (2, NOW), (3, NOW - 4), (4, NOW)] {
-        bench.secure_in(signed(&[1, 2, 3], link_id, ticks).as_bytes());
+        bench.link_in(signed(&[1, 2, 3], link_id, ticks).as_bytes());
     }
-    let counters = bench.relay.secure_to_plain();
+    let counters = bench.relay.inbound();
     assert_eq!(counters.passed(), 3);
-    let expected = [(Refusal::Replayed, 1), (Refusal::StreamsFull, 1)];
-    assert_eq!(refusals(counters), expected);
-    let offender = Offender {
+    let expected = [(RejectReason::Replayed, 1), (RejectReason::StreamsFull, 1)];
+    assert_eq!(rejections(counters), expected);
+    let rejected = RejectedPacket {
         system_id: 1,
         component_id: 1,
         link_id: Some(4),
         message_id: MessageId::from(0),
-        refusal: Refusal::StreamsFull,
+        rejection: RejectReason::StreamsFull,
     };
-    assert_eq!(counters.last_offender(), Some(offender));
+    assert_eq!(counters.last_rejected(), Some(rejected));
 }
 
-/// A peer may sign for the link id that the relay signs for: what the relay signed is refused all the
+/// A peer may sign for the link id that the relay signs for: what the relay signed is rejected all the
 /// same when it comes back.
 #[test]
-fn own_frames_are_refused_on_a_shared_link_id() {
-    let streams = Streams::<2>::new(Links::Any, Window::SEED);
-    let relay = Relay::new(key(), Stamper::new(LINK_OUT), streams, Forward::Whole);
+fn own_frames_are_rejected_on_a_shared_link_id() {
+    let streams = StreamTable::<2>::new(Links::Any, Window::STRICT);
+    let relay = Relay::new(
+        key(),
+        Stamper::new(LINK_OUT),
+        streams,
+        ForwardMode::KeepSignature,
+    );
     let mut bench = Bench::of(relay.expect("streams remember what is sent"));
     for payload in [[1, 2, 3], [4, 5, 6]] {
-        bench.plain_in(unsigned(&payload).as_bytes());
+        bench.local_in(unsigned(&payload).as_bytes());
     }
-    let own: Vec<u8> = bench.secure.output.drain(..).collect();
+    let own: Vec<u8> = bench.link.output.drain(..).collect();
     // Two frames within a tick were stamped with this one and the next.
     bench.now = NOW + 2;
-    bench.secure_in(&own);
-    let counters = bench.relay.secure_to_plain();
+    bench.link_in(&own);
+    let counters = bench.relay.inbound();
     assert_eq!(
-        (counters.passed(), counters.refused(Refusal::Replayed)),
+        (counters.passed(), counters.rejected(RejectReason::Replayed)),
         (0, 2)
     );
 
     let peer = signed(&[7, 8, 9], LINK_OUT, NOW + 2);
-    bench.secure_in(peer.as_bytes());
-    assert_eq!(bench.relay.secure_to_plain().passed(), 1);
-    assert_eq!(bench.plain.output, peer.as_bytes());
+    bench.link_in(peer.as_bytes());
+    assert_eq!(bench.relay.inbound().passed(), 1);
+    assert_eq!(bench.local.output, peer.as_bytes());
 }
 
-/// What is refused says who it is from, also in MAVLink 1.
+/// What is rejected says who it is from, also in MAVLink 1.
 #[test]
 fn the_last_offender_is_named() {
     let mut bench = Bench::new();
     // A heartbeat of system 7, component 9.
     let mut heartbeat = vec![0xFE, 9, 78, 7, 9, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3];
     heartbeat.extend(checksum(&heartbeat[1..], 50).to_le_bytes());
-    bench.plain_in(&heartbeat);
-    let offender = Offender {
+    bench.local_in(&heartbeat);
+    let rejected = RejectedPacket {
         system_id: 7,
         component_id: 9,
         link_id: None,
         message_id: MessageId::from(0),
-        refusal: Refusal::Mavlink1,
+        rejection: RejectReason::Mavlink1,
     };
-    let counters = bench.relay.plain_to_secure();
-    assert_eq!(counters.last_offender(), Some(offender));
+    let counters = bench.relay.outbound();
+    assert_eq!(counters.last_rejected(), Some(rejected));
 }
 
 /// While the output holds a frame back, what is behind it on the input may be held back too: a packet of
@@ -679,16 +702,16 @@ fn a_held_back_output_is_no_silence_of_the_input() {
     let mut bench = Bench::new();
     let (first, second) = (unsigned(&[1, 2, 3]), unsigned(&[4, 5, 6]));
     let (begin, end) = second.as_bytes().split_at(7);
-    bench.secure.room = 0;
-    bench.plain_in(&[first.as_bytes(), begin].concat());
+    bench.link.room = 0;
+    bench.local_in(&[first.as_bytes(), begin].concat());
     for _ in 0..3 {
         bench.now += IDLE;
         bench.run();
     }
-    bench.secure.room = usize::MAX;
+    bench.link.room = usize::MAX;
     bench.now += IDLE;
     bench.run();
-    bench.plain_in(end);
-    assert_eq!(bench.relay.plain_to_secure().passed(), 2);
-    assert_eq!(bench.relay.plain_to_secure().dropped(), 0);
+    bench.local_in(end);
+    assert_eq!(bench.relay.outbound().passed(), 2);
+    assert_eq!(bench.relay.outbound().dropped(), 0);
 }

@@ -7,16 +7,17 @@ use std::time::Duration;
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_commsec::radio::{Request, Status};
 use mavlink_commsec::{
-    Credential, Key, OpenError, Opener, PermitError, SealError, Sealer, SenderId, hx, packets,
+    Credential, OpenError, Opener, PermitError, SealError, Sealer, SealingKey, SenderId, hx,
+    packets,
 };
 use mavlink_signing::crc::checksum;
 use mavseal_relay::sealed::{
-    ACCEPTED_RESERVATION, Counters, End, Event, Marks, Radio, Refusal, SENT_RESERVATION,
-    STATUS_INTERVAL,
+    ACCEPTED_RESERVATION, Counters, Event, HighWaterMarks, Radio, RejectReason, SENT_RESERVATION,
+    STATUS_INTERVAL, SealedEndpoint,
 };
 use mavseal_relay::{Direction, PortError};
 use mavseal_store::{
-    Mark, Region,
+    HighWaterMark, Region,
     model::{Flash, PAGE_SIZE},
 };
 use ports::{Broken, Line};
@@ -25,7 +26,7 @@ const REGION: Region = Region {
     start: 0,
     page_size: PAGE_SIZE as u32,
 };
-const PATIENCE: Duration = Duration::from_millis(50);
+const MAX_DELAY: Duration = Duration::from_millis(50);
 /// The same in ticks.
 const PATIENT: u64 = 5000;
 const VEHICLE: Credential = credential(7, 1);
@@ -69,8 +70,8 @@ fn packet(bytes: usize) -> Vec<u8> {
 
 /// An end of a link, its ports and its clock.
 struct Bench<F, const N: usize> {
-    end: End<F, N>,
-    plain: Line,
+    end: SealedEndpoint<F, N>,
+    local: Line,
     air: Line,
     now: u64,
     events: Vec<Event>,
@@ -78,9 +79,9 @@ struct Bench<F, const N: usize> {
 
 type Vehicle = Bench<Flash<2>, 2>;
 
-fn marks<F: NorFlash, const N: usize>(sent: F, accepted: [F; N]) -> Marks<F, N> {
-    let open = |flash| Mark::open(flash, REGION).expect("a region");
-    Marks {
+fn marks<F: NorFlash, const N: usize>(sent: F, accepted: [F; N]) -> HighWaterMarks<F, N> {
+    let open = |flash| HighWaterMark::open(flash, REGION).expect("a region");
+    HighWaterMarks {
         sent: open(sent),
         accepted: accepted.map(open),
     }
@@ -92,14 +93,14 @@ impl<F: NorFlash, const N: usize> Bench<F, N> {
             system_id: 1,
             component_id: 68,
         };
-        let end = End::new(own, peers, marks(sent, accepted), radio, PATIENCE);
+        let end = SealedEndpoint::new(own, peers, marks(sent, accepted), radio, MAX_DELAY);
         Self::of(end.expect("keys"))
     }
 
-    fn of(end: End<F, N>) -> Self {
+    fn of(end: SealedEndpoint<F, N>) -> Self {
         let mut bench = Self {
             end,
-            plain: Line::new(),
+            local: Line::new(),
             air: Line::new(),
             now: 0,
             events: Vec::new(),
@@ -108,7 +109,7 @@ impl<F: NorFlash, const N: usize> Bench<F, N> {
         bench.run();
         assert_eq!(
             frames(&bench.air.output),
-            [(hx::Tag::Radio, b"B\r".to_vec())]
+            [(hx::FrameKind::Radio, b"B\r".to_vec())]
         );
         bench.air.output.clear();
         bench
@@ -124,20 +125,20 @@ impl<F: NorFlash, const N: usize> Bench<F, N> {
     fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
         let Self {
             end,
-            plain,
+            local,
             air,
             now,
             events,
         } = self;
-        end.poll(plain, air, *now, &mut |event| events.push(event))
+        end.poll(local, air, *now, &mut |event| events.push(event))
     }
 
-    fn plain_in(&mut self, bytes: &[u8]) {
-        self.plain.input.extend(bytes);
+    fn local_in(&mut self, bytes: &[u8]) {
+        self.local.input.extend(bytes);
         self.run();
     }
 
-    fn air_in(&mut self, tag: hx::Tag, payload: &[u8]) {
+    fn air_in(&mut self, tag: hx::FrameKind, payload: &[u8]) {
         let frame = hx::Frame::new(tag, payload).expect("a frame");
         self.air.input.extend(frame.encode());
         self.run();
@@ -148,13 +149,13 @@ impl<F: NorFlash, const N: usize> Bench<F, N> {
         let frames = frames(&std::mem::take(&mut self.air.output));
         let air = frames
             .into_iter()
-            .filter(|(tag, _)| *tag == hx::Tag::AirData);
+            .filter(|(tag, _)| *tag == hx::FrameKind::AirData);
         air.map(|(_, payload)| payload).collect()
     }
 
     /// The package that a packet becomes.
     fn seal(&mut self, packet: &[u8]) -> Vec<u8> {
-        self.plain_in(packet);
+        self.local_in(packet);
         self.now += PATIENT;
         self.run();
         let mut packages = self.packages();
@@ -170,7 +171,7 @@ fn vehicle() -> Vehicle {
 
 fn station() -> Bench<Flash<2>, 1> {
     let marks = marks(Flash::default(), [Flash::default()]);
-    let end = End::new(&STATION, &[VEHICLE], marks, Radio::Station, PATIENCE);
+    let end = SealedEndpoint::new(&STATION, &[VEHICLE], marks, Radio::Station, MAX_DELAY);
     Bench::of(end.expect("keys"))
 }
 
@@ -185,13 +186,13 @@ fn seal(sealer: &mut Sealer, packet: &[u8]) -> Vec<u8> {
     sealer.seal(&message).expect("counters").as_bytes().to_vec()
 }
 
-fn frames(bytes: &[u8]) -> Vec<(hx::Tag, Vec<u8>)> {
+fn frames(bytes: &[u8]) -> Vec<(hx::FrameKind, Vec<u8>)> {
     let mut decoder = hx::Decoder::new();
     let mut frames = Vec::new();
     for byte in bytes {
         if let Some(frame) = decoder.push(*byte) {
             let frame = frame.expect("whole frames");
-            frames.push((frame.tag(), frame.payload().to_vec()));
+            frames.push((frame.kind(), frame.payload().to_vec()));
         }
     }
     frames
@@ -202,11 +203,11 @@ fn counter(package: &[u8]) -> u32 {
 }
 
 /// Every reason that has been counted, and how often.
-fn refusals(counters: &Counters) -> Vec<(Refusal, u32)> {
-    for (reason, count) in counters.refusals() {
-        assert_eq!(counters.refused(reason), count);
+fn rejections(counters: &Counters) -> Vec<(RejectReason, u32)> {
+    for (reason, count) in counters.rejections() {
+        assert_eq!(counters.rejected(reason), count);
     }
-    let counted = counters.refusals().filter(|(_, count)| *count > 0);
+    let counted = counters.rejections().filter(|(_, count)| *count > 0);
     counted.collect()
 }
 
@@ -220,7 +221,7 @@ fn packets_arrive_whole_and_in_order_both_ways() {
         packet(40),
         packet(41),
     ];
-    vehicle.plain_in(&sent.concat());
+    vehicle.local_in(&sent.concat());
     vehicle.now += PATIENT;
     vehicle.run();
     let packages = vehicle.packages();
@@ -228,9 +229,9 @@ fn packets_arrive_whole_and_in_order_both_ways() {
     assert_eq!(packages.len(), 5);
     for package in &packages {
         assert_eq!(package.len(), 96);
-        station.air_in(hx::Tag::AirData, package);
+        station.air_in(hx::FrameKind::AirData, package);
     }
-    assert_eq!(station.plain.output, sent.concat());
+    assert_eq!(station.local.output, sent.concat());
     assert_eq!(
         (
             vehicle.end.sealed().packages(),
@@ -256,16 +257,16 @@ fn packets_arrive_whole_and_in_order_both_ways() {
     assert_eq!(station.events, [Event::Opened(SenderId(7)); 5]);
 
     let package = station.seal(&packet(30));
-    vehicle.air_in(hx::Tag::AirData, &package);
-    assert_eq!(vehicle.plain.output, packet(30));
+    vehicle.air_in(hx::FrameKind::AirData, &package);
+    assert_eq!(vehicle.local.output, packet(30));
     assert_eq!(vehicle.events.last(), Some(&Event::Opened(SenderId(5))));
-    assert!(refusals(vehicle.end.opened()).is_empty());
-    let none = [0; Refusal::ALL.len()];
+    assert!(rejections(vehicle.end.opened()).is_empty());
+    let none = [0; RejectReason::ALL.len()];
     assert_eq!(
         format!("{:?}", vehicle.end),
         format!(
-            "End {{ sealed: Counters {{ packages: 5, packets: 5, refused: {none:?}, dropped: 0 }}, \
-             opened: Counters {{ packages: 1, packets: 1, refused: {none:?}, dropped: 0 }}, .. }}"
+            "SealedEndpoint {{ sealed: Counters {{ packages: 5, packets: 5, rejected: {none:?}, dropped: 0 }}, \
+             opened: Counters {{ packages: 1, packets: 1, rejected: {none:?}, dropped: 0 }}, .. }}"
         )
     );
 }
@@ -273,24 +274,24 @@ fn packets_arrive_whole_and_in_order_both_ways() {
 #[test]
 fn a_packet_waits_for_others_but_not_for_long() {
     let mut vehicle = vehicle();
-    vehicle.plain_in(&packet(20));
+    vehicle.local_in(&packet(20));
     vehicle.now += PATIENT - 1;
-    vehicle.plain_in(&packet(21));
+    vehicle.local_in(&packet(21));
     assert!(vehicle.packages().is_empty());
     vehicle.now += 1;
     vehicle.run();
     let packages = vehicle.packages();
     assert_eq!(packages.len(), 1);
     let mut opener = Opener::<1>::new();
-    let key: Key = VEHICLE.prepare().expect("a key");
+    let key: SealingKey = VEHICLE.prepare().expect("a key");
     opener.permit(key, &[SenderId(7)]).expect("room");
     let opened = opener.open(&packages[0]).expect("a package");
-    let held: Vec<_> = packets(opened.message()).collect();
+    let held: Vec<_> = packets(opened.plaintext()).collect();
     assert_eq!(held, [Ok(&packet(20)[..]), Ok(&packet(21)[..])]);
 }
 
 #[test]
-fn what_cannot_be_sealed_is_refused_and_counted() {
+fn what_cannot_be_sealed_is_rejected_and_counted() {
     let mut vehicle = vehicle();
     let mut damaged = packet(30);
     damaged[20] ^= 1;
@@ -299,23 +300,23 @@ fn what_cannot_be_sealed_is_refused_and_counted() {
     let mut flags = packet(30);
     flags[2] = 0x40;
     let all = [packet(81), packet(267), damaged, unknown, flags];
-    vehicle.plain_in(&all.concat());
+    vehicle.local_in(&all.concat());
     vehicle.now += PATIENT;
     vehicle.run();
     assert!(vehicle.packages().is_empty());
     assert_eq!(
-        refusals(vehicle.end.sealed()),
+        rejections(vehicle.end.sealed()),
         [
-            (Refusal::UnknownIncompatFlags, 1),
-            (Refusal::UnknownMessage, 1),
-            (Refusal::BadChecksum, 1),
-            (Refusal::TooLong, 2),
+            (RejectReason::UnknownIncompatFlags, 1),
+            (RejectReason::UnknownMessage, 1),
+            (RejectReason::BadChecksum, 1),
+            (RejectReason::TooLong, 2),
         ]
     );
-    let too_long = Event::Refused(Direction::PlainToSecure, Refusal::TooLong);
+    let too_long = Event::Rejected(Direction::Outbound, RejectReason::TooLong);
     assert_eq!(vehicle.events[..2], [too_long; 2]);
     // A packet that begins and does not go on holds nothing up.
-    vehicle.plain_in(&packet(60)[..30]);
+    vehicle.local_in(&packet(60)[..30]);
     vehicle.now += mavseal_relay::IDLE + 1;
     vehicle.run();
     assert_eq!(vehicle.seal(&packet(61)).len(), 96);
@@ -323,7 +324,7 @@ fn what_cannot_be_sealed_is_refused_and_counted() {
     assert_eq!(vehicle.end.sealed().dropped(), 3 * 30 + 30);
     // Unless there may be longer pauses on the line.
     vehicle.end = vehicle.end.idle(2 * mavseal_relay::IDLE);
-    vehicle.plain_in(&packet(60)[..30]);
+    vehicle.local_in(&packet(60)[..30]);
     vehicle.now += mavseal_relay::IDLE + 1;
     vehicle.run();
     assert_eq!(vehicle.seal(&packet(60)[30..]).len(), 96);
@@ -336,48 +337,48 @@ fn each_package_is_opened_once_and_what_is_none_never() {
     let package = seal(&mut from_station, &packet(20));
     let newer = seal(&mut from_station, &packet(21));
     for package in [&newer, &newer, &package] {
-        vehicle.air_in(hx::Tag::AirData, package);
+        vehicle.air_in(hx::FrameKind::AirData, package);
     }
-    assert_eq!(vehicle.plain.output, packet(21));
+    assert_eq!(vehicle.local.output, packet(21));
     let mut forged = seal(&mut from_station, &packet(22));
     forged[50] ^= 1;
-    vehicle.air_in(hx::Tag::AirData, &forged);
+    vehicle.air_in(hx::FrameKind::AirData, &forged);
     let unknown = seal(&mut sealer(&credential(9, 2), 1), &packet(22));
-    vehicle.air_in(hx::Tag::AirData, &unknown);
+    vehicle.air_in(hx::FrameKind::AirData, &unknown);
     let mut last = package.clone();
     last[4..8].fill(0xFF);
-    vehicle.air_in(hx::Tag::AirData, &last);
+    vehicle.air_in(hx::FrameKind::AirData, &last);
     let own = vehicle.seal(&packet(20));
-    vehicle.air_in(hx::Tag::AirData, &own);
-    vehicle.air_in(hx::Tag::AirData, &newer[..95]);
+    vehicle.air_in(hx::FrameKind::AirData, &own);
+    vehicle.air_in(hx::FrameKind::AirData, &newer[..95]);
     let no_packets = seal(&mut from_station, &[1, 2, 3]);
-    vehicle.air_in(hx::Tag::AirData, &no_packets);
+    vehicle.air_in(hx::FrameKind::AirData, &no_packets);
     let after = [packet(20), vec![0xFD, 200]].concat();
     let half = seal(&mut from_station, &after);
-    vehicle.air_in(hx::Tag::AirData, &half);
-    assert_eq!(vehicle.plain.output, [packet(21), packet(20)].concat());
+    vehicle.air_in(hx::FrameKind::AirData, &half);
+    assert_eq!(vehicle.local.output, [packet(21), packet(20)].concat());
     assert_eq!(
-        refusals(vehicle.end.opened()),
+        rejections(vehicle.end.opened()),
         [
-            (Refusal::WrongLength, 1),
-            (Refusal::UnknownSender, 2),
-            (Refusal::NoCounter, 1),
-            (Refusal::Stale, 2),
-            (Refusal::BadTag, 1),
-            (Refusal::NoPacket, 2),
+            (RejectReason::WrongLength, 1),
+            (RejectReason::UnknownSender, 2),
+            (RejectReason::NoCounter, 1),
+            (RejectReason::Stale, 2),
+            (RejectReason::BadTag, 1),
+            (RejectReason::NoPacket, 2),
         ]
     );
     // Nothing of it stands in the way of the other station.
     let package = seal(&mut sealer(&OTHER, 1), &packet(23));
-    vehicle.air_in(hx::Tag::AirData, &package);
-    assert!(vehicle.plain.output.ends_with(&packet(23)));
+    vehicle.air_in(hx::FrameKind::AirData, &package);
+    assert!(vehicle.local.output.ends_with(&packet(23)));
 }
 
 #[test]
-fn what_is_no_frame_is_refused_and_the_next_frame_found() {
+fn what_is_no_frame_is_rejected_and_the_next_frame_found() {
     let mut vehicle = vehicle();
     let package = seal(&mut sealer(&STATION, 1), &packet(20));
-    let good: Vec<u8> = hx::Frame::new(hx::Tag::AirData, &package)
+    let good: Vec<u8> = hx::Frame::new(hx::FrameKind::AirData, &package)
         .expect("a frame")
         .encode()
         .collect();
@@ -394,14 +395,14 @@ fn what_is_no_frame_is_refused_and_the_next_frame_found() {
     }
     vehicle.air.input.extend(good);
     vehicle.run();
-    assert_eq!(vehicle.plain.output, packet(20));
+    assert_eq!(vehicle.local.output, packet(20));
     assert_eq!(
-        refusals(vehicle.end.opened()),
+        rejections(vehicle.end.opened()),
         [
-            (Refusal::EmptyFrame, 1),
-            (Refusal::LongFrame, 1),
-            (Refusal::CutEscape, 1),
-            (Refusal::UnknownTag, 1),
+            (RejectReason::EmptyFrame, 1),
+            (RejectReason::LongFrame, 1),
+            (RejectReason::TruncatedEscape, 1),
+            (RejectReason::UnknownKind, 1),
         ]
     );
 }
@@ -409,50 +410,53 @@ fn what_is_no_frame_is_refused_and_the_next_frame_found() {
 #[test]
 fn the_radio_is_asked_every_second_and_its_status_told() {
     let (mut vehicle, mut station) = (vehicle(), station());
-    vehicle.air_in(hx::Tag::Radio, &STATUS.to_wire());
+    vehicle.air_in(hx::FrameKind::Radio, &STATUS.to_wire());
     vehicle.now += PATIENT;
     vehicle.run();
     let packages = vehicle.packages();
     assert_eq!(packages.len(), 1);
-    station.air_in(hx::Tag::AirData, &packages[0]);
-    assert_eq!(station.plain.output, STATUS.vehicle_radio(0, 1, 68));
-    station.plain.output.clear();
-    station.air_in(hx::Tag::Radio, &STATUS.to_wire_with(&Default::default()));
-    assert_eq!(station.plain.output, STATUS.gcs_radio(0));
+    station.air_in(hx::FrameKind::AirData, &packages[0]);
+    assert_eq!(station.local.output, STATUS.vehicle_radio(0, 1, 68));
+    station.local.output.clear();
+    station.air_in(
+        hx::FrameKind::Radio,
+        &STATUS.to_wire_with(&Default::default()),
+    );
+    assert_eq!(station.local.output, STATUS.gcs_radio(0));
     assert_eq!(station.events.last(), Some(&Event::Radio(STATUS)));
 
     // One answer for each question.
-    vehicle.air_in(hx::Tag::Radio, &STATUS.to_wire());
-    vehicle.air_in(hx::Tag::Radio, b"OK");
+    vehicle.air_in(hx::FrameKind::Radio, &STATUS.to_wire());
+    vehicle.air_in(hx::FrameKind::Radio, b"OK");
     assert_eq!(
-        refusals(vehicle.end.opened()),
-        [(Refusal::NoStatus, 1), (Refusal::NotAsked, 1)]
+        rejections(vehicle.end.opened()),
+        [(RejectReason::NoStatus, 1), (RejectReason::NotAsked, 1)]
     );
     let asked = |bench: &mut Vehicle, now| {
         bench.now = now;
         bench.run();
         frames(&std::mem::take(&mut bench.air.output))
-            == [(hx::Tag::Radio, Request::Status.to_wire().to_vec())]
+            == [(hx::FrameKind::Radio, Request::Status.to_wire().to_vec())]
     };
     assert!(!asked(&mut vehicle, STATUS_INTERVAL - 1));
     assert!(asked(&mut vehicle, STATUS_INTERVAL));
     assert!(asked(&mut vehicle, 2 * STATUS_INTERVAL));
     // Two answers late are two answers; the next has another sequence number.
     for _ in 0..2 {
-        vehicle.air_in(hx::Tag::Radio, &STATUS.to_wire());
+        vehicle.air_in(hx::FrameKind::Radio, &STATUS.to_wire());
     }
-    assert_eq!(vehicle.end.opened().refused(Refusal::NotAsked), 1);
+    assert_eq!(vehicle.end.opened().rejected(RejectReason::NotAsked), 1);
     vehicle.now += PATIENT;
     vehicle.run();
-    station.plain.output.clear();
+    station.local.output.clear();
     for package in vehicle.packages() {
-        station.air_in(hx::Tag::AirData, &package);
+        station.air_in(hx::FrameKind::AirData, &package);
     }
     let told = [
         STATUS.vehicle_radio(1, 1, 68),
         STATUS.vehicle_radio(2, 1, 68),
     ];
-    assert_eq!(station.plain.output, told.concat());
+    assert_eq!(station.local.output, told.concat());
 }
 
 #[test]
@@ -460,12 +464,12 @@ fn slow_ports_lose_nothing() {
     let (mut vehicle, mut station) = (vehicle(), station());
     vehicle.air.room = 0;
     let sent: Vec<Vec<u8>> = (20..60).map(packet).collect();
-    vehicle.plain_in(&sent.concat());
+    vehicle.local_in(&sent.concat());
     assert!(
-        !vehicle.plain.input.is_empty(),
+        !vehicle.local.input.is_empty(),
         "it holds one message and one frame, no more"
     );
-    while !vehicle.plain.input.is_empty() || vehicle.end.sealed().packets() < 40 {
+    while !vehicle.local.input.is_empty() || vehicle.end.sealed().packets() < 40 {
         vehicle.air.room = 7;
         vehicle.now += mavseal_relay::IDLE;
         vehicle.run();
@@ -475,16 +479,16 @@ fn slow_ports_lose_nothing() {
     vehicle.run();
     station.air.input.extend(vehicle.air.output.drain(..));
     while !station.air.input.is_empty() || station.end.opened().packets() < 40 {
-        station.plain.room = 3;
+        station.local.room = 3;
         station.run();
     }
-    station.plain.room = usize::MAX;
+    station.local.room = usize::MAX;
     station.run();
-    assert_eq!(station.plain.output, sent.concat());
+    assert_eq!(station.local.output, sent.concat());
     assert!(
-        refusals(station.end.opened())
+        rejections(station.end.opened())
             .iter()
-            .all(|(reason, _)| *reason == Refusal::NoStatus)
+            .all(|(reason, _)| *reason == RejectReason::NoStatus)
     );
 }
 
@@ -494,13 +498,13 @@ fn a_radio_that_takes_nothing_is_no_silence() {
     vehicle.air.room = 0;
     let last = packet(20);
     // The two that do not fit into one message, and the front of another with them.
-    vehicle.plain_in(&[packet(60), packet(60), last[..8].to_vec()].concat());
-    assert!(vehicle.plain.input.is_empty());
+    vehicle.local_in(&[packet(60), packet(60), last[..8].to_vec()].concat());
+    assert!(vehicle.local.input.is_empty());
     vehicle.now += 2 * mavseal_relay::IDLE;
     vehicle.run();
     vehicle.air.room = usize::MAX;
     vehicle.run();
-    vehicle.plain_in(&last[8..]);
+    vehicle.local_in(&last[8..]);
     assert_eq!(vehicle.end.sealed().packets(), 3);
     assert_eq!(vehicle.end.sealed().dropped(), 0);
 }
@@ -508,15 +512,15 @@ fn a_radio_that_takes_nothing_is_no_silence() {
 #[test]
 fn a_port_that_fails_is_told_and_does_not_stop_the_other_direction() {
     let mut vehicle = vehicle();
-    vehicle.plain.broken = true;
+    vehicle.local.broken = true;
     let package = seal(&mut sealer(&STATION, 1), &packet(20));
-    vehicle.air_in(hx::Tag::AirData, &package);
+    vehicle.air_in(hx::FrameKind::AirData, &package);
     let polled = vehicle.poll();
-    assert_eq!(polled.plain_to_secure, Err(PortError::Input(Broken)));
-    assert_eq!(vehicle.plain.output, packet(20));
-    vehicle.plain.broken = false;
+    assert_eq!(polled.outbound, Err(PortError::Input(Broken)));
+    assert_eq!(vehicle.local.output, packet(20));
+    vehicle.local.broken = false;
     vehicle.air.ended = true;
-    assert_eq!(vehicle.poll().secure_to_plain, Err(PortError::InputClosed));
+    assert_eq!(vehicle.poll().inbound, Err(PortError::InputClosed));
 }
 
 /// Runs a vehicle with these flashes: counters it seals with, counters it accepts of the station that goes
@@ -527,16 +531,16 @@ fn life(flashes: [Flash<2>; 3], first: u32, packages: u32) -> (Vec<u32>, Vec<u32
     let mut from_station = sealer(&STATION, first);
     let (mut used, mut accepted) = (Vec::new(), Vec::new());
     for at in 0..packages {
-        vehicle.plain_in(&HEARTBEAT);
+        vehicle.local_in(&HEARTBEAT);
         used.extend(vehicle.packages().iter().map(|package| counter(package)));
         let package = seal(&mut from_station, &packet(20));
         let before = vehicle.end.opened().packages();
-        vehicle.air_in(hx::Tag::AirData, &package);
+        vehicle.air_in(hx::FrameKind::AirData, &package);
         if vehicle.end.opened().packages() > before {
             accepted.push(first + at);
         }
     }
-    let opened = vehicle.plain.output.len() / 20;
+    let opened = vehicle.local.output.len() / 20;
     assert_eq!(opened, accepted.len());
     let (sent, [a, b]) = vehicle.end.into_flashes();
     (used, accepted, [sent, a, b])
@@ -568,56 +572,62 @@ fn no_counter_is_used_or_accepted_twice_whenever_the_power_fails() {
 }
 
 #[test]
-fn what_cannot_be_remembered_is_refused() {
+fn what_cannot_be_remembered_is_rejected() {
     let mut flashes = [Flash::<2>::default(), Flash::default(), Flash::default()];
     flashes[0].cut_after(0);
     flashes[1].cut_after(0);
     let [sent, a, b] = flashes;
     let mut vehicle: Vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], sent, [a, b]);
-    vehicle.plain_in(&HEARTBEAT);
+    vehicle.local_in(&HEARTBEAT);
     assert!(vehicle.packages().is_empty());
-    assert_eq!(refusals(vehicle.end.sealed()), [(Refusal::NotStored, 1)]);
+    assert_eq!(
+        rejections(vehicle.end.sealed()),
+        [(RejectReason::NotStored, 1)]
+    );
     let mut from_station = sealer(&STATION, 1);
     let package = seal(&mut from_station, &packet(20));
-    vehicle.air_in(hx::Tag::AirData, &package);
-    assert!(vehicle.plain.output.is_empty());
-    assert_eq!(refusals(vehicle.end.opened()), [(Refusal::NotStored, 1)]);
+    vehicle.air_in(hx::FrameKind::AirData, &package);
+    assert!(vehicle.local.output.is_empty());
+    assert_eq!(
+        rejections(vehicle.end.opened()),
+        [(RejectReason::NotStored, 1)]
+    );
     // The other station's mark is in another place.
     let package = seal(&mut sealer(&OTHER, 1), &packet(20));
-    vehicle.air_in(hx::Tag::AirData, &package);
-    assert_eq!(vehicle.plain.output, packet(20));
+    vehicle.air_in(hx::FrameKind::AirData, &package);
+    assert_eq!(vehicle.local.output, packet(20));
 }
 
 #[test]
 fn the_last_counter_is_used_once_and_nothing_follows() {
     let mut flash = Flash::<2>::default();
-    let mut mark = Mark::open(&mut flash, REGION).expect("a region");
+    let mut mark = HighWaterMark::open(&mut flash, REGION).expect("a region");
     mark.reserve(u64::from(u32::MAX) - 3, 0).expect("stored");
     let flashes = [Flash::default(), Flash::default()];
     let mut vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], flash, flashes);
     assert_eq!(vehicle.end.next_counter(), Some(u32::MAX - 2));
     for expected in [u32::MAX - 2, u32::MAX - 1] {
-        vehicle.plain_in(&HEARTBEAT);
+        vehicle.local_in(&HEARTBEAT);
         assert_eq!(counter(&vehicle.packages()[0]), expected);
     }
-    vehicle.plain_in(&HEARTBEAT);
+    vehicle.local_in(&HEARTBEAT);
     assert!(vehicle.packages().is_empty());
     assert_eq!(
-        refusals(vehicle.end.sealed()),
-        [(Refusal::CounterExhausted, 1)]
+        rejections(vehicle.end.sealed()),
+        [(RejectReason::CounterExhausted, 1)]
     );
     // Nor after a restart, with a mark behind all counters.
     let (flash, flashes) = vehicle.end.into_flashes();
     let mut vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], flash, flashes);
     assert_eq!(vehicle.end.next_counter(), None);
-    vehicle.plain_in(&HEARTBEAT);
+    vehicle.local_in(&HEARTBEAT);
     assert!(vehicle.packages().is_empty());
 }
 
 #[test]
 fn peers_are_heard_above_their_marks() {
     let mut flashes = [Flash::<2>::default(), Flash::default(), Flash::default()];
-    let mut mark = Mark::open(&mut flashes[2], REGION).expect("a region");
+    let mut mark = HighWaterMark::open(&mut flashes[2], REGION).expect("a region");
     mark.reserve(40, 9).expect("stored");
     let [sent, a, b] = flashes;
     let mut vehicle: Vehicle = Bench::new(&VEHICLE, &[STATION, OTHER], sent, [a, b]);
@@ -626,9 +636,9 @@ fn peers_are_heard_above_their_marks() {
     let mut other = sealer(&OTHER, 48);
     for _ in 0..2 {
         let package = seal(&mut other, &packet(20));
-        vehicle.air_in(hx::Tag::AirData, &package);
+        vehicle.air_in(hx::FrameKind::AirData, &package);
     }
-    assert_eq!(refusals(vehicle.end.opened()), [(Refusal::Stale, 1)]);
+    assert_eq!(rejections(vehicle.end.opened()), [(RejectReason::Stale, 1)]);
     assert_eq!(vehicle.end.opened().packages(), 1);
 }
 
@@ -636,36 +646,42 @@ fn peers_are_heard_above_their_marks() {
 fn keys_that_are_none_are_told() {
     let end = |own: &Credential, peers: &[Credential; 1]| {
         let marks = marks(Flash::<2>::default(), [Flash::default()]);
-        End::<_, 1>::new(own, peers, marks, Radio::Station, PATIENCE).err()
+        SealedEndpoint::<_, 1>::new(own, peers, marks, Radio::Station, MAX_DELAY).err()
     };
     let zero = credential(1, 0);
-    let all_zero = Some(PermitError::Key(mavlink_commsec::KeyError::AllZero));
+    let all_zero = Some(PermitError::Key(mavlink_commsec::SealingKeyError::AllZero));
     assert_eq!(end(&zero, &[STATION]), all_zero);
     assert_eq!(end(&STATION, &[zero]), all_zero);
 }
 
 #[test]
 fn every_error_is_told_apart() {
-    for (error, refusal) in [
-        (OpenError::KeyWornOut, Refusal::KeyWornOut),
-        (OpenError::BadTag, Refusal::BadTag),
-        (OpenError::WrongLength(95), Refusal::WrongLength),
+    for (error, rejection) in [
+        (
+            OpenError::IntegrityLimitReached,
+            RejectReason::IntegrityLimitReached,
+        ),
+        (OpenError::BadTag, RejectReason::BadTag),
+        (OpenError::WrongLength(95), RejectReason::WrongLength),
     ] {
-        assert_eq!(Refusal::from(error), refusal);
+        assert_eq!(RejectReason::from(error), rejection);
     }
     assert_eq!(
-        Refusal::from(SealError::CounterExhausted),
-        Refusal::CounterExhausted
+        RejectReason::from(SealError::CounterExhausted),
+        RejectReason::CounterExhausted
     );
-    assert_eq!(Refusal::from(SealError::Cipher), Refusal::CipherFailed);
+    assert_eq!(
+        RejectReason::from(SealError::Cipher),
+        RejectReason::CipherFailed
+    );
 }
 
 #[test]
 fn every_reason_has_words_of_its_own() {
-    let mut words: Vec<_> = Refusal::ALL.iter().map(ToString::to_string).collect();
-    let same = |reason: &Refusal| reason.to_string() == reason.as_str();
-    assert!(Refusal::ALL.iter().all(same));
+    let mut words: Vec<_> = RejectReason::ALL.iter().map(ToString::to_string).collect();
+    let same = |reason: &RejectReason| reason.to_string() == reason.as_str();
+    assert!(RejectReason::ALL.iter().all(same));
     words.sort();
     words.dedup();
-    assert_eq!(words.len(), Refusal::ALL.len());
+    assert_eq!(words.len(), RejectReason::ALL.len());
 }

@@ -10,11 +10,11 @@ use std::{
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, Header, KEY_SIZE, KeyChangeError, Keys, Links, MessageId, Phase,
-    Profile, RESERVATION, SigningKey, Source, Stamper, Streams, Sync, TICKS_PER_SECOND, Tag,
-    Timekeeper, Timestamp, VerifyError, Window, ZeroizeOnDrop, sign_frame,
+    Authenticate, Frame, FrameRef, Header, KEY_SIZE, KeyChangeError, KeyRing, LinkClock, Links,
+    MessageId, Profile, RESERVATION, RolloverState, SigningKey, Stamper, StreamTable, SyncState,
+    TICKS_PER_SECOND, Tag, TimeSource, Timestamp, VerifyError, Window, ZeroizeOnDrop, sign_frame,
 };
-use mavseal_relay::{BehindMark, Kept, KeySlots};
+use mavseal_relay::{FlashKeyStore, PersistentClock, TimeBehindMark};
 use mavseal_store::{
     Region,
     model::{Failure, Flash, PAGE_SIZE},
@@ -152,11 +152,11 @@ struct Node {
 }
 
 struct Running {
-    kept: Kept<Memory, Box<dyn FnMut() -> u64>>,
+    kept: PersistentClock<Memory, Box<dyn FnMut() -> u64>>,
     stamper: Stamper,
-    receiver: Streams<4>,
-    slots: KeySlots<Memory>,
-    keys: Keys<Fast>,
+    receiver: StreamTable<4>,
+    slots: FlashKeyStore<Memory>,
+    keys: KeyRing<Fast>,
     /// The number of the newest key that each node was heard with in this run.
     heard_with: [u64; NODES],
 }
@@ -222,9 +222,10 @@ impl Node {
         self.timer = Rc::new(Cell::new(0));
         let timer = Rc::clone(&self.timer);
         let timer: Box<dyn FnMut() -> u64> = Box::new(move || timer.get());
-        let mut kept = Kept::new(self.memory.clone(), MARK, timer).expect("far from 2104");
-        assert_eq!(kept.sync(), Sync::Unsynced);
-        let (mut slots, keys) = KeySlots::open(self.memory.clone(), KEYS).expect("fits");
+        let mut kept =
+            PersistentClock::new(self.memory.clone(), MARK, timer).expect("far from 2104");
+        assert_eq!(kept.sync(), SyncState::Unsynced);
+        let (mut slots, keys) = FlashKeyStore::open(self.memory.clone(), KEYS).expect("fits");
         let keys = keys.unwrap_or_else(|| {
             assert!(slots.is_empty(), "its keys are lost");
             slots.provision(&key_bytes(0)).expect("stored")
@@ -234,7 +235,7 @@ impl Node {
         assert!(self.last.is_none_or(|last| floor.ticks() > last));
         self.running = Some(Running {
             stamper: kept.stamper(self.link_id),
-            receiver: Streams::resume(Links::Any, Window::LINK, floor),
+            receiver: StreamTable::resume(Links::Any, Window::ONE_MINUTE, floor),
             kept,
             slots,
             keys,
@@ -258,10 +259,10 @@ impl Node {
             Told::Dead => Some(now - 2 * YEAR),
         };
         if let Some(told) = told {
-            let result = running.kept.tell(Source::Trusted, at(told));
+            let result = running.kept.update(TimeSource::Trusted, at(told));
             // A right clock is not believed either where peers without one have run ahead.
             let dead = self.told == Told::Dead;
-            assert!(!dead || result == Err(BehindMark), "{result:?}");
+            assert!(!dead || result == Err(TimeBehindMark), "{result:?}");
             self.asked = now;
         }
         Some(running)
@@ -299,7 +300,7 @@ impl Node {
         let running = self.running.as_mut()?;
         sign_frame(&mut frame, running.keys.signing(), stamp).expect("unsigned");
         let sent = FrameRef::parse(frame.as_bytes()).expect("whole");
-        running.receiver.sent(sent);
+        running.receiver.record_sent(sent);
         Some(Sent {
             frame,
             from: usize::from(link_id) - 1,
@@ -332,7 +333,7 @@ impl Node {
         let running = self.running.as_mut().expect("it runs");
         let verdict = running.kept.admit(&mut running.receiver, authentic);
         if let Ok(verified) = &verdict {
-            running.keys.heard(verified);
+            running.keys.on_accepted(verified);
             let heard_with = &mut running.heard_with[sent.from];
             *heard_with = sent.key.max(*heard_with);
         }
@@ -343,7 +344,7 @@ impl Node {
                 assert!(self.fails(), "not stored under power");
             } else {
                 let after = self.memory.0.borrow().writes();
-                assert_eq!(after, writes, "a refused frame costs a write");
+                assert_eq!(after, writes, "a rejected frame costs a write");
             }
             return false;
         }
@@ -352,7 +353,7 @@ impl Node {
         assert!(self.accepted.insert(id), "{id:?} accepted twice");
         // The station waits for all, as it would leave the others behind.
         let all = own != GROUND || running.heard_all_with(own, latest);
-        if running.keys.is_heard() && all {
+        if running.keys.confirm_pending() && all {
             let confirmed = running.keys.confirm(&mut running.slots);
             self.not_stored_without_power(confirmed);
         }
@@ -373,7 +374,7 @@ impl Node {
         let Some(running) = &mut self.running else {
             return false;
         };
-        if running.keys.phase() != Phase::Confirmed {
+        if running.keys.rollover_state() != RolloverState::Confirmed {
             let retired = running.keys.retire(&mut running.slots);
             assert_eq!(retired, Err(KeyChangeError::NotConfirmed));
             return false;
@@ -471,7 +472,7 @@ impl World {
     fn offer(&mut self) {
         let settled = |node: &Node| {
             let running = node.running.as_ref();
-            running.is_some_and(|running| running.keys.phase() == Phase::Settled)
+            running.is_some_and(|running| running.keys.rollover_state() == RolloverState::Settled)
         };
         if !self.nodes.iter().all(settled) {
             return;
@@ -489,15 +490,17 @@ impl World {
     /// The station's SETUP_SIGNING comes to a board, by a cable.
     fn set_up(&mut self, board: usize) {
         let ground = self.nodes[GROUND].running.as_ref();
-        let offers = ground.is_some_and(|ground| ground.keys.phase() != Phase::Settled);
+        let offers =
+            ground.is_some_and(|ground| ground.keys.rollover_state() != RolloverState::Settled);
         let node = &mut self.nodes[board];
         if let Some(running) = node.running.as_mut().filter(|_| offers && board != GROUND) {
-            let before = running.keys.phase();
+            let before = running.keys.rollover_state();
             let applied = running
                 .keys
                 .apply(&key_bytes(self.latest), &mut running.slots);
-            let begun = applied.is_ok() && before == Phase::Settled;
-            self.changes[1] += u32::from(begun && running.keys.phase() == Phase::Applied);
+            let begun = applied.is_ok() && before == RolloverState::Settled;
+            self.changes[1] +=
+                u32::from(begun && running.keys.rollover_state() == RolloverState::Applied);
             node.not_stored_without_power(applied);
         }
     }
@@ -532,7 +535,7 @@ impl World {
             62 => {
                 let (now, node) = (self.now, &mut self.nodes[node]);
                 if let Some(running) = node.at(now) {
-                    let told = running.kept.tell(Source::Bounded, at(now));
+                    let told = running.kept.update(TimeSource::Bounded, at(now));
                     told.expect("never behind the mark");
                 }
             }
@@ -562,7 +565,7 @@ impl World {
             let before = running.kept.now();
             moved += running
                 .kept
-                .tell(Source::Bounded, told)
+                .update(TimeSource::Bounded, told)
                 .expect("never behind the mark");
             assert!(running.kept.now() >= before, "never back");
         }
@@ -614,7 +617,7 @@ impl World {
         let ahead = self.ahead();
         // Nobody is further ahead than the worst timer may be by now, and what restarts have skipped.
         let drifted = (from - START) / 1_000_000 * DRIFT;
-        assert!(ahead <= drifted + Window::LINK.ahead, "{ahead} ahead");
+        assert!(ahead <= drifted + Window::ONE_MINUTE.ahead, "{ahead} ahead");
         let mut back = [[false; NODES]; NODES];
         while back.iter().enumerate().any(|(sender, by)| {
             by.iter()
@@ -651,9 +654,12 @@ impl World {
         loop {
             let keys = self.nodes.each_ref().map(|node| {
                 let running = node.running.as_ref().expect("under power");
-                (running.keys.phase(), running.number(self.latest))
+                (running.keys.rollover_state(), running.number(self.latest))
             });
-            if keys.iter().all(|(phase, _)| *phase == Phase::Settled) {
+            if keys
+                .iter()
+                .all(|(phase, _)| *phase == RolloverState::Settled)
+            {
                 assert!(keys.iter().all(|key| *key == keys[0]), "{keys:?}");
                 return;
             }
@@ -693,7 +699,7 @@ struct Back {
 /// a node that has accepted what is ahead waits until that has passed; what it stamps meanwhile, another that
 /// knows the time hears when it is no further ahead than the window.
 const fn stated(ahead: u64) -> u64 {
-    SOON + ahead + ahead.saturating_sub(Window::LINK.ahead)
+    SOON + ahead + ahead.saturating_sub(Window::ONE_MINUTE.ahead)
 }
 
 fn at(ticks: u64) -> Timestamp {

@@ -67,7 +67,7 @@ pub enum OpenError {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum StoreError {
-    /// The flash refused to erase a page, for this reason.
+    /// The flash rejected to erase a page, for this reason.
     Erase(#[cfg_attr(feature = "defmt", defmt(Debug2Format))] NorFlashErrorKind),
     /// What was written reads as something else, or not at all, in several places.
     Write,

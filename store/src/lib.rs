@@ -15,10 +15,10 @@
 #[cfg(kani)]
 extern crate kani;
 
+mod high_water_mark;
 mod journal;
-mod mark;
 #[cfg(feature = "model")]
 pub mod model;
 
+pub use high_water_mark::{HighWaterMark, MARK_SIZE, ReserveError};
 pub use journal::{Journal, OpenError, Region, StoreError};
-pub use mark::{MARK_SIZE, Mark, ReserveError};

@@ -4,7 +4,7 @@ use std::error::Error;
 
 use embedded_storage::nor_flash::{NorFlash, ReadNorFlash};
 use mavseal_store::{
-    Journal, Mark, OpenError, Region, ReserveError, StoreError,
+    HighWaterMark, Journal, OpenError, Region, ReserveError, StoreError,
     model::{Flash, PAGE_SIZE, WORD_SIZE},
 };
 
@@ -323,7 +323,7 @@ fn a_mark_is_above_everything_used_before_a_restart() {
         for round in 0..40_u32 {
             flash.restart();
             flash.cut_after(round * 5 % 11);
-            let mut mark = Mark::open(&mut flash, REGION).expect("fits");
+            let mut mark = HighWaterMark::open(&mut flash, REGION).expect("fits");
             let start = mark.get();
             assert!(
                 used.is_none_or(|used| start > used),
@@ -343,7 +343,7 @@ fn a_mark_is_above_everything_used_before_a_restart() {
 #[test]
 fn a_mark_costs_one_write_for_each_reservation() {
     let mut flash = Memory::default();
-    let mut mark = Mark::open(&mut flash, REGION).expect("fits");
+    let mut mark = HighWaterMark::open(&mut flash, REGION).expect("fits");
     for value in 0..10_000 {
         mark.reserve(value, 100).expect("reserved");
     }
@@ -353,7 +353,7 @@ fn a_mark_costs_one_write_for_each_reservation() {
 #[test]
 fn the_last_values() {
     let mut flash = Memory::default();
-    let mut mark = Mark::open(&mut flash, REGION).expect("fits");
+    let mut mark = HighWaterMark::open(&mut flash, REGION).expect("fits");
     mark.reserve(u64::MAX - 1, 100).expect("reserved");
     assert_eq!(mark.get(), u64::MAX);
     assert_eq!(mark.reserve(u64::MAX, 0), Err(ReserveError::Exhausted));

@@ -280,7 +280,7 @@ fn demonstration(arguments: &[&str]) -> Result<()> {
 fn echo_fails() -> Result<()> {
     fails(
         &["--firmware", "echo"],
-        "left the secure side unsigned",
+        "left the link side unsigned",
         "the demonstration took an echo for a signer",
     )
 }

@@ -33,8 +33,8 @@ const LINK_IN: u8 = 2;
 const BEHIND: Duration = Duration::from_millis(500);
 const TICKS_PER_SECOND: u64 = 100_000;
 /// How long the firmware may say nothing while something is expected of it.
-const PATIENCE: Duration = Duration::from_secs(6);
-/// Frames of each kind that must be refused.
+const MAX_DELAY: Duration = Duration::from_secs(6);
+/// Frames of each kind that must be rejected.
 const EACH: usize = 25;
 /// Authentic frames from the peer, before and again after those.
 const FROM_PEER: usize = 200;
@@ -85,11 +85,11 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut demo = Demo::boot(&elf)?;
 
     println!(
-        "Plain side: {} frames of recorded telemetry, and what must not be signed",
+        "Local side: {} frames of recorded telemetry, and what must not be signed",
         telemetry.len()
     );
     let signed = demo.sign(&telemetry)?;
-    println!("Secure side: the peer, and what it must not get through");
+    println!("Link side: the peer, and what it must not get through");
     demo.verify(&telemetry, &signed)?;
     demo.finish()
 }
@@ -98,31 +98,31 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 struct Act {
     name: &'static str,
     frames: usize,
-    /// Why the firmware must refuse it; `None` if it must pass it on.
-    refusal: Option<&'static str>,
+    /// Why the firmware must reject it; `None` if it must pass it on.
+    rejection: Option<&'static str>,
     passed: usize,
-    refused: usize,
+    rejected: usize,
 }
 
 /// A way through the firmware, by the name that it has in the log.
 #[derive(Clone, Copy, Debug)]
 enum Direction {
-    PlainToSecure,
-    SecureToPlain,
+    Outbound,
+    Inbound,
 }
 
 impl Direction {
     /// How the line with this direction's counters begins.
     fn summary(self) -> &'static str {
         match self {
-            Self::PlainToSecure => "[INFO ] signed: ",
-            Self::SecureToPlain => "[INFO ] verified: ",
+            Self::Outbound => "[INFO ] signed: ",
+            Self::Inbound => "[INFO ] verified: ",
         }
     }
 
-    /// The reason in a line about refusals in this direction, and how often it was given in a row.
-    fn refusals(self, line: &str) -> Option<(String, usize)> {
-        let said = line.strip_prefix(&format!("[INFO ] {self:?} refused: "))?;
+    /// The reason in a line about rejections in this direction, and how often it was given in a row.
+    fn rejections(self, line: &str) -> Option<(String, usize)> {
+        let said = line.strip_prefix(&format!("[INFO ] {self:?} rejected: "))?;
         let (reason, times) = said.strip_suffix(" times")?.rsplit_once(", ")?;
         Some((reason.to_owned(), times.parse().ok()?))
     }
@@ -131,14 +131,14 @@ impl Direction {
 /// The firmware and what it has been seen to do.
 struct Demo {
     machine: Machine,
-    plain: Port,
-    secure: Port,
+    local: Port,
+    link: Port,
     log: Receiver<String>,
     lines: Vec<String>,
     key: Vec<u8>,
     last_stamp: u64,
-    plain_to_secure: Vec<Act>,
-    secure_to_plain: Vec<Act>,
+    outbound: Vec<Act>,
+    inbound: Vec<Act>,
     failures: Vec<String>,
     started: Instant,
 }
@@ -147,28 +147,28 @@ impl Demo {
     fn boot(elf: &Path) -> Result<Self> {
         let key = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips/demo/demo.key");
         let key = fs::read(&key).with_context(|| key.display().to_string())?;
-        let (machine, [plain, secure], log) = Machine::boot_between(elf)?;
+        let (machine, [local, link], log) = Machine::boot_between(elf)?;
         let mut demo = Self {
             machine,
-            plain: Port::new(plain)?,
-            secure: Port::new(secure)?,
+            local: Port::new(local)?,
+            link: Port::new(link)?,
             log,
             lines: Vec::new(),
             key,
             last_stamp: 0,
-            plain_to_secure: Vec::new(),
-            secure_to_plain: Vec::new(),
+            outbound: Vec::new(),
+            inbound: Vec::new(),
             failures: Vec::new(),
             started: Instant::now(),
         };
         // It speaks when its clock is set and its ports are open.
-        let line = demo.log.recv_timeout(PATIENCE);
+        let line = demo.log.recv_timeout(MAX_DELAY);
         demo.lines.push(line.context("the firmware says nothing")?);
         demo.started = Instant::now();
         Ok(demo)
     }
 
-    /// Telemetry and things that must not be signed, into the plain side; gives the signed frames.
+    /// Telemetry and things that must not be signed, into the local side; gives the signed frames.
     fn sign(&mut self, telemetry: &[Frame]) -> Result<Vec<Frame>> {
         let mut acts = Acts::new(telemetry);
         acts.add("recorded telemetry", None, telemetry.to_vec());
@@ -180,13 +180,13 @@ impl Demo {
         );
         acts.add("MAVLink 1", Some("MAVLink 1"), mavlink1());
         let key = &self.key;
-        let already = acts.plain(|frame| wire::sign(frame, key, LINK_OUT, ticks_now()));
+        let already = acts.local(|frame| wire::sign(frame, key, LINK_OUT, ticks_now()));
         acts.add("already signed", Some("already signed"), already);
 
         let begun = ticks_now();
         let came = exchange(
-            &mut self.plain,
-            &mut self.secure,
+            &mut self.local,
+            &mut self.link,
             acts.stream(),
             telemetry.len(),
         )?;
@@ -197,7 +197,7 @@ impl Demo {
             };
             if frame[2] & 1 == 0 {
                 self.failures
-                    .push(format!("frame {at} left the secure side unsigned"));
+                    .push(format!("frame {at} left the link side unsigned"));
                 break;
             }
             let ticks = wire::ticks(frame);
@@ -219,11 +219,11 @@ impl Demo {
             last = ticks;
         }
         self.failures.extend(came.failure);
-        self.plain_to_secure = self.judge(acts, Direction::PlainToSecure, came.frames.len());
+        self.outbound = self.judge(acts, Direction::Outbound, came.frames.len());
         Ok(came.frames)
     }
 
-    /// The peer's frames and everything that must not pass, into the secure side.
+    /// The peer's frames and everything that must not pass, into the link side.
     fn verify(&mut self, telemetry: &[Frame], reflected: &[Frame]) -> Result<()> {
         let key = self.key.clone();
         let mut acts = Acts::new(telemetry);
@@ -243,7 +243,7 @@ impl Demo {
         let (first, then) = telemetry.split_at(FROM_PEER);
         let authentic = sign(first);
         let forge = |forge: &dyn Fn(&mut Frame)| {
-            acts.plain(|frame| {
+            acts.local(|frame| {
                 let mut signed = wire::sign(frame, &key, LINK_IN, ticks_now());
                 forge(&mut signed);
                 signed
@@ -256,12 +256,12 @@ impl Demo {
         let tag = forge(&|frame| flip(frame, 1));
         let link = forge(&|frame| flip(frame, 13));
         let ticks = forge(&|frame| flip(frame, 12));
-        let other_key = acts.plain(|frame| wire::sign(frame, &[0x5A; 32], LINK_IN, ticks_now()));
-        let other_link = acts.plain(|frame| wire::sign(frame, &key, 3, ticks_now()));
+        let other_key = acts.local(|frame| wire::sign(frame, &[0x5A; 32], LINK_IN, ticks_now()));
+        let other_link = acts.local(|frame| wire::sign(frame, &key, 3, ticks_now()));
         let future = ticks_now() + 120 * TICKS_PER_SECOND;
-        let future = acts.plain(|frame| wire::sign(frame, &key, LINK_IN, future));
+        let future = acts.local(|frame| wire::sign(frame, &key, LINK_IN, future));
         let old = ticks_now() - 61 * TICKS_PER_SECOND;
-        let old = acts.plain(|frame| wire::sign(frame, &key, LINK_IN, old));
+        let old = acts.local(|frame| wire::sign(frame, &key, LINK_IN, old));
         let replayed = authentic.iter().take(EACH).cloned().collect();
         let reflected = reflected.iter().take(EACH).cloned().collect();
 
@@ -280,39 +280,39 @@ impl Demo {
         acts.add("another key", Some("bad tag"), other_key);
         acts.add("stamped two minutes ahead", Some("from the future"), future);
         acts.add("stamped 61 seconds ago", Some("too old"), old);
-        acts.add("unsigned", Some("not signed"), acts.plain(<[u8]>::to_vec));
+        acts.add("unsigned", Some("not signed"), acts.local(<[u8]>::to_vec));
         acts.add("damaged", Some("bad checksum"), acts.damaged());
         acts.add("MAVLink 1", Some("MAVLink 1"), mavlink1());
         // None of it has moved the receiver's clock or window.
         acts.add("authentic, after all that", None, sign(then));
 
         let came = exchange(
-            &mut self.secure,
-            &mut self.plain,
+            &mut self.link,
+            &mut self.local,
             acts.stream(),
             telemetry.len(),
         )?;
         for (at, frame) in came.frames.iter().enumerate() {
             if telemetry.get(at) != Some(frame) {
                 self.failures
-                    .push(format!("frame {at} on the plain side is not the peer's"));
+                    .push(format!("frame {at} on the local side is not the peer's"));
             }
         }
         self.failures.extend(came.failure);
-        self.secure_to_plain = self.judge(acts, Direction::SecureToPlain, came.frames.len());
+        self.inbound = self.judge(acts, Direction::Inbound, came.frames.len());
         Ok(())
     }
 
-    /// Compares the firmware's log with what had to be refused, in order, and with its counters.
+    /// Compares the firmware's log with what had to be rejected, in order, and with its counters.
     fn judge(&mut self, acts: Acts, direction: Direction, passed: usize) -> Vec<Act> {
         let mut acts = acts.acts;
         let expected: Vec<&str> = acts
             .iter()
-            .flat_map(|act| act.refusal.map(|refusal| vec![refusal; act.frames]))
+            .flat_map(|act| act.rejection.map(|rejection| vec![rejection; act.frames]))
             .flatten()
             .collect();
         let counted = format!(
-            "{}{passed}, refused: {}, ",
+            "{}{passed}, rejected: {}, ",
             direction.summary(),
             expected.len()
         );
@@ -320,13 +320,13 @@ impl Demo {
         let mut summary = String::new();
         // The counters come after a second of silence, which may also have been this machine's.
         while !summary.starts_with(&counted) {
-            let Ok(line) = self.log.recv_timeout(PATIENCE) else {
+            let Ok(line) = self.log.recv_timeout(MAX_DELAY) else {
                 self.failures.push(format!(
                     "{direction:?}: the firmware counted {summary:?}, not {counted:?}"
                 ));
                 break;
             };
-            if let Some((reason, times)) = direction.refusals(&line) {
+            if let Some((reason, times)) = direction.rejections(&line) {
                 said.extend(vec![reason; times]);
             }
             if line.starts_with(direction.summary()) {
@@ -336,7 +336,7 @@ impl Demo {
         }
         if said != expected {
             self.failures.push(format!(
-                "{direction:?}: {} refusals expected, {} logged, or for other reasons",
+                "{direction:?}: {} rejections expected, {} logged, or for other reasons",
                 expected.len(),
                 said.len()
             ));
@@ -344,18 +344,18 @@ impl Demo {
         let mut said = said.into_iter();
         let mut passed = passed;
         for act in &mut acts {
-            match act.refusal {
+            match act.rejection {
                 None => {
                     act.passed = passed.min(act.frames);
                     passed -= act.passed;
                 }
-                Some(refusal) => {
+                Some(rejection) => {
                     let of_this = said.by_ref().take(act.frames);
-                    act.refused = of_this.filter(|reason| reason == refusal).count();
+                    act.rejected = of_this.filter(|reason| reason == rejection).count();
                 }
             }
-            let done = if act.refusal.is_some() {
-                act.refused
+            let done = if act.rejection.is_some() {
+                act.rejected
             } else {
                 act.passed
             };
@@ -375,7 +375,7 @@ impl Demo {
     /// Prints the log and the table; fails if anything was not as it must be.
     fn finish(mut self) -> Result<()> {
         let took = self.started.elapsed();
-        for (side, port) in [("plain", &self.plain), ("secure", &self.secure)] {
+        for (side, port) in [("plain", &self.local), ("secure", &self.link)] {
             let late: usize = port.bytes.try_iter().map(|bytes| bytes.len()).sum();
             if late > 0 {
                 self.failures
@@ -387,19 +387,19 @@ impl Demo {
         println!("\nThe firmware's log:");
         print_log(&self.lines);
         println!(
-            "\nInto the plain side:\n{}",
-            table("signed", &self.plain_to_secure)
+            "\nInto the local side:\n{}",
+            table("signed", &self.outbound)
         );
         println!(
-            "\nInto the secure side:\n{}",
-            table("verified", &self.secure_to_plain)
+            "\nInto the link side:\n{}",
+            table("verified", &self.inbound)
         );
         println!(
             "\nplain side:  {} bytes in, {} bytes out\nsecure side: {} bytes in, {} bytes out\ntime: {:.1} s",
-            self.plain.sent,
-            self.plain.received,
-            self.secure.sent,
-            self.secure.received,
+            self.local.sent,
+            self.local.received,
+            self.link.sent,
+            self.link.received,
             took.as_secs_f32(),
         );
         ensure!(
@@ -417,7 +417,7 @@ struct Acts {
     acts: Vec<Act>,
     frames: Vec<Frame>,
     /// Frames without a byte inside that looks like the beginning of another, so that a damaged
-    /// one is refused once and not again for what it seems to contain.
+    /// one is rejected once and not again for what it seems to contain.
     samples: Vec<Frame>,
 }
 
@@ -437,13 +437,13 @@ impl Acts {
         }
     }
 
-    fn add(&mut self, name: &'static str, refusal: Option<&'static str>, frames: Vec<Frame>) {
+    fn add(&mut self, name: &'static str, rejection: Option<&'static str>, frames: Vec<Frame>) {
         self.acts.push(Act {
             name,
             frames: frames.len(),
-            refusal,
+            rejection,
             passed: 0,
-            refused: 0,
+            rejected: 0,
         });
         self.frames.extend(frames);
     }
@@ -452,12 +452,12 @@ impl Acts {
         self.frames.concat()
     }
 
-    fn plain(&self, make: impl FnMut(&[u8]) -> Frame) -> Vec<Frame> {
+    fn local(&self, make: impl FnMut(&[u8]) -> Frame) -> Vec<Frame> {
         self.samples.iter().map(Vec::as_slice).map(make).collect()
     }
 
     fn damaged(&self) -> Vec<Frame> {
-        self.plain(|frame| {
+        self.local(|frame| {
             let mut frame = frame.to_vec();
             frame[10] ^= 0x40;
             frame
@@ -465,7 +465,7 @@ impl Acts {
     }
 
     fn unknown_message(&self) -> Vec<Frame> {
-        self.plain(|frame| {
+        self.local(|frame| {
             let mut frame = frame.to_vec();
             frame[7..10].copy_from_slice(&[0xF0, 0xF0, 0xF0]);
             frame
@@ -578,7 +578,7 @@ fn exchange(into: &mut Port, out_of: &mut Port, stream: Vec<u8>, expected: usize
     loop {
         // When all has come, only a moment for what must not come.
         let all = came.frames.len() >= expected && into.is_written();
-        let Some(bytes) = out_of.receive(if all { PATIENCE / 20 } else { PATIENCE }) else {
+        let Some(bytes) = out_of.receive(if all { MAX_DELAY / 20 } else { MAX_DELAY }) else {
             break;
         };
         pending.extend(bytes);
@@ -612,10 +612,10 @@ fn print_log(lines: &[String]) {
 fn table(passed: &str, acts: &[Act]) -> Table {
     let rows = acts.iter().map(|act| Row {
         name: act.name.to_owned(),
-        counts: [act.frames, act.passed, act.refused],
-        because: act.refusal.unwrap_or_default().to_owned(),
+        counts: [act.frames, act.passed, act.rejected],
+        because: act.rejection.unwrap_or_default().to_owned(),
     });
-    summed(["frames", passed, "refused"], rows)
+    summed(["frames", passed, "rejected"], rows)
 }
 
 /// A line of a table: what was sent, what became of it, and why not more.

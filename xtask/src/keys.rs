@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, anyhow};
 use clap::Args;
-use mavseal_keys::{Exceptions, Header, KeyFile};
+use mavseal_keys::{Exceptions, HeaderKind, KeyFile};
 
 /// Options of `cargo xtask keys`.
 #[derive(Args)]
@@ -16,8 +16,8 @@ pub(crate) struct Options {
     #[arg(long, value_name = "N", default_value_t = 1)]
     stations: usize,
     /// The header of the packages that they seal: `id-counter` or `counter-epoch-id`
-    #[arg(long, default_value = Header::default().name(), value_parser = header)]
-    header: Header,
+    #[arg(long, default_value = HeaderKind::default().name(), value_parser = header)]
+    header: HeaderKind,
     /// Make nothing; say who has keys in the file, which may be a Keys.mk, or what is wrong with it
     #[arg(long, conflicts_with_all = ["stations", "header"])]
     check: bool,
@@ -29,8 +29,8 @@ pub(crate) struct Options {
     shared_station_keys: bool,
 }
 
-fn header(name: &str) -> Result<Header> {
-    Header::named(name).ok_or_else(|| anyhow!("there is no header {name}"))
+fn header(name: &str) -> Result<HeaderKind> {
+    HeaderKind::named(name).ok_or_else(|| anyhow!("there is no header {name}"))
 }
 
 /// Makes or checks a key file.

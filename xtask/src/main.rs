@@ -1,4 +1,4 @@
-//! Every developer verb of mavseal: `cargo xtask <verb>`.
+//! Every developer command of mavseal: `cargo xtask <command>`.
 
 mod bench;
 mod check;
@@ -20,7 +20,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 #[derive(Parser)]
-#[command(name = "cargo xtask", about = "Every developer verb of mavseal")]
+#[command(name = "cargo xtask", about = "Every developer command of mavseal")]
 struct Cli {
     #[command(subcommand)]
     verb: Verb,

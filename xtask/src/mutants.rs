@@ -1,7 +1,7 @@
 //! `cargo xtask mutants`: small changes of the cores, each of which a test must notice.
 //!
 //! The proofs have mutants too, few and made by hand for each property. These are all that
-//! cargo-mutants can think of, tried with the tests of the cores and the twins of the properties.
+//! cargo-mutants can think of, tried with the tests of the cores and the property tests of the properties.
 
 mod outcome;
 mod table;

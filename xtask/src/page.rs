@@ -45,7 +45,7 @@ impl Page {
     /// Whether the part says `part`.
     ///
     /// # Errors
-    /// If it does not, with the `verb` that has it say so.
+    /// If it does not, with the `command` that has it say so.
     pub(crate) fn check(&self, part: &str, verb: &str) -> Result<()> {
         ensure!(
             part == self.part(),

@@ -46,7 +46,7 @@ pub(crate) struct Options {
     /// Run nothing; write the tables of verification.md
     #[arg(long, conflicts_with_all = ["fast", "only", "stale", "mutants", "check"])]
     table: bool,
-    /// Break the code in known ways, which proofs and twins must notice
+    /// Break the code in known ways, which proofs and property tests must notice
     #[arg(long)]
     mutants: bool,
     /// Also with another version of Kani than the pinned one; the tables will not take the results

@@ -1,4 +1,4 @@
-//! What the verbs need on this machine: found, installed, or named in one line.
+//! What the commands need on this machine: found, installed, or named in one line.
 //!
 //! Nothing here asks a question. Root, and whoever has `sudo` without a password, gets what is
 //! missing from the distribution; everybody else gets an error that says what to install.
@@ -197,7 +197,7 @@ fn build_std(target: &str) -> Result<Toolchain> {
 }
 
 impl Toolchain {
-    /// A call of `cargo <verb> --target …`, to which the caller adds what to build.
+    /// A call of `cargo <command> --target …`, to which the caller adds what to build.
     ///
     /// Flags stay in the configuration of the firmware's workspace, so the variables that would
     /// override them, and those of an outer cargo, are taken out of the environment.

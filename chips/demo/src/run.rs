@@ -1,11 +1,11 @@
-//! Signs a frame and verifies it, then refuses it damaged, forged and repeated.
+//! Signs a frame and verifies it, then rejects it damaged, forged and repeated.
 
 use core::hint::black_box;
 
 use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE};
 use mavlink_signing::{
-    Frame, FrameRef, Header, KeyError, MavLinkState, MessageId, Replay, Stamp, Stamper, Timestamp,
-    Verified, VerifyError, Window, sign_frame, verify_frame,
+    Frame, FrameRef, Header, KeyError, MavLinkState, MessageId, ReplayGuard, Stamp, Stamper,
+    Timestamp, Verified, VerifyError, Window, sign_frame, verify_frame,
 };
 
 use crate::{DEMO_KEY, info};
@@ -61,19 +61,19 @@ static KEY: [u8; 32] = DEMO_KEY;
 static PAYLOAD: &[u8] = &[1, 2, 3];
 static NOW: u64 = 37_555_200_000_000;
 
-static LINK: MavLinkState = MavLinkState::new(Replay::new(LINK_ID, Window::SEED));
+static LINK: MavLinkState = MavLinkState::new(ReplayGuard::new(LINK_ID, Window::STRICT));
 
 /// A step has come out as it must not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Failed;
 
-/// Why received bytes are refused.
-enum Refused {
+/// Why received bytes are rejected.
+enum Rejected {
     NoFrame,
     Frame(VerifyError),
 }
 
-/// The demonstration: a frame is signed and verified, then refused with a damaged payload, with a
+/// The demonstration: a frame is signed and verified, then rejected with a damaged payload, with a
 /// forged tag, and when it comes again.
 ///
 /// `send` gets the signed frame.
@@ -98,23 +98,23 @@ pub fn run(memory: &mut Memory, send: impl FnOnce(&[u8])) -> Result<(), Failed> 
     info!("Verification passed");
 
     flip(frame.get_mut(HEADER_SIZE));
-    let Err(Refused::Frame(VerifyError::BadChecksum)) = verify(frame, key, now) else {
+    let Err(Rejected::Frame(VerifyError::BadChecksum)) = verify(frame, key, now) else {
         return Err(Failed);
     };
     flip(frame.get_mut(HEADER_SIZE));
-    info!("Damaged frame refused");
+    info!("Damaged frame rejected");
 
     flip(frame.last_mut());
-    let Err(Refused::Frame(VerifyError::BadTag)) = verify(frame, key, now) else {
+    let Err(Rejected::Frame(VerifyError::BadTag)) = verify(frame, key, now) else {
         return Err(Failed);
     };
     flip(frame.last_mut());
-    info!("Forged frame refused");
+    info!("Forged frame rejected");
 
-    let Err(Refused::Frame(VerifyError::Replayed)) = verify(frame, key, now) else {
+    let Err(Rejected::Frame(VerifyError::Replayed)) = verify(frame, key, now) else {
         return Err(Failed);
     };
-    info!("Repeated frame refused");
+    info!("Repeated frame rejected");
     Ok(())
 }
 
@@ -154,13 +154,13 @@ fn verify<'a>(
     received: &'a [u8],
     key: &SigningKey,
     now: Timestamp,
-) -> Result<Verified<'a>, Refused> {
+) -> Result<Verified<'a>, Rejected> {
     #[cfg(feature = "leaky")]
     if !crate::leaky::tag_matches(received, black_box(&KEY)) {
-        return Err(Refused::Frame(VerifyError::BadTag));
+        return Err(Rejected::Frame(VerifyError::BadTag));
     }
-    let frame = FrameRef::parse(received).map_err(|_| Refused::NoFrame)?;
-    verify_frame(frame, key, now, &LINK).map_err(Refused::Frame)
+    let frame = FrameRef::parse(received).map_err(|_| Rejected::NoFrame)?;
+    verify_frame(frame, key, now, &LINK).map_err(Rejected::Frame)
 }
 
 fn flip(byte: Option<&mut u8>) {

@@ -21,7 +21,7 @@ use defmt_semihosting as _;
 
 pub use clock::{Timer, Uptime, WallClock};
 pub use flash::{COUNTERS, Flash, PAGE_SIZE};
-pub use log::{Runs, log_refused};
+pub use log::{Runs, log_rejected};
 pub use mavseal_demo::{DEMO_KEY, DEMO_PASSPHRASE, info, warn};
 pub use semihosting::process::exit;
 pub use uart::{Overrun, Uart};

@@ -6,7 +6,7 @@ use crate::info;
 
 /// What was said last, and how often in a row.
 ///
-/// A line takes longer than a frame: one for each refusal would let whoever repeats one of them stall
+/// A line takes longer than a frame: one for each rejection would let whoever repeats one of them stall
 /// the other.
 #[derive(Clone, Copy, Debug)]
 pub struct Runs<T>(Option<(T, u32)>);
@@ -35,11 +35,11 @@ impl<T: PartialEq> Runs<T> {
     }
 }
 
-/// Logs refusals in a row, if there are any.
-pub fn log_refused(run: Option<((Direction, impl Into<&'static str>), u32)>) {
-    if let Some(((direction, refusal), times)) = run {
-        let reason: &str = refusal.into();
-        info!("{} refused: {}, {} times", direction, reason, times);
+/// Logs rejections in a row, if there are any.
+pub fn log_rejected(run: Option<((Direction, impl Into<&'static str>), u32)>) {
+    if let Some(((direction, rejection), times)) = run {
+        let reason: &str = rejection.into();
+        info!("{} rejected: {}, {} times", direction, reason, times);
         let _ = (direction, reason, times);
     }
 }

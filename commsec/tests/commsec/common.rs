@@ -1,7 +1,7 @@
 //! What the tests of packages share.
 
 use mavlink_commsec::{
-    Key, Message, OpenError, Opened, Opener, Package, SealError, Sealer, SenderId,
+    OpenError, Opened, Opener, Package, Plaintext, SealError, Sealer, SealingKey, SenderId,
 };
 
 use crate::vectors::Vector;
@@ -12,12 +12,12 @@ pub fn hex(digits: &str) -> Vec<u8> {
 }
 
 /// 80 bytes of message.
-pub fn message(digits: &str) -> Message {
+pub fn message(digits: &str) -> Plaintext {
     hex(digits).try_into().expect("80 bytes")
 }
 
-pub fn key(digits: &str, salt: u32) -> Key {
-    Key::new(&hex(digits), salt).expect("a key")
+pub fn key(digits: &str, salt: u32) -> SealingKey {
+    SealingKey::new(&hex(digits), salt).expect("a key")
 }
 
 /// Seals what `vector` says, as it says.
@@ -42,11 +42,11 @@ pub fn last<const N: usize>(opener: &Opener<N>, id: u32) -> u32 {
     found.expect("a permitted sender").1
 }
 
-/// Asserts that `package` is refused with `error`, and that no sender's counter moves.
-pub fn assert_refused<const N: usize>(opener: &mut Opener<N>, package: &[u8], error: OpenError) {
+/// Asserts that `package` is rejected with `error`, and that no sender's counter moves.
+pub fn assert_rejected<const N: usize>(opener: &mut Opener<N>, package: &[u8], error: OpenError) {
     let before: Vec<_> = opener.senders().collect();
-    let refused: Result<Opened, _> = opener.open(package);
-    assert_eq!(refused.map(|opened| opened.counter()), Err(error));
+    let rejected: Result<Opened, _> = opener.open(package);
+    assert_eq!(rejected.map(|opened| opened.counter()), Err(error));
     let after: Vec<_> = opener.senders().collect();
     assert_eq!(after, before, "after {error}");
 }

@@ -3,8 +3,8 @@
 use std::error::Error;
 
 use mavlink_commsec::{
-    CipherError, DecodeError, EpochCounter, EpochError, FrameError, KeyError, OpenError, PackError,
-    PermitError, RadioError, SealError, SenderId, UnpackError,
+    CipherError, DecodeError, EpochCounter, EpochError, FrameError, OpenError, PackError,
+    PermitError, RadioError, SealError, SealingKeyError, SenderId, UnpackError,
 };
 use mavlink_signing::ParseError;
 
@@ -14,38 +14,41 @@ fn texts() {
         counter: 2,
         last: 3,
     };
-    let place = |epoch, counter| EpochCounter { epoch, counter };
+    let sequence = |epoch, counter| EpochCounter { epoch, counter };
     let stale_in_epoch = OpenError::StaleInEpoch {
-        place: place(1, 9),
-        last: place(2, 1),
+        sequence: sequence(1, 9),
+        last: sequence(2, 1),
     };
     let unpack = UnpackError {
         offset: 9,
         fault: ParseError::Truncated,
     };
     let texts: [(&dyn Error, &str); 29] = [
-        (&CipherError, "the cipher refused"),
+        (&CipherError, "the cipher rejected"),
         (
-            &KeyError::WrongLength(15),
+            &SealingKeyError::WrongLength(15),
             "a key has 16 bytes, this one has 15",
         ),
-        (&KeyError::AllZero, "a key of zeros only is no key"),
+        (&SealingKeyError::AllZero, "a key of zeros only is no key"),
         (
-            &PermitError::Key(KeyError::AllZero),
+            &PermitError::Key(SealingKeyError::AllZero),
             "a key of zeros only is no key",
         ),
-        (&KeyError::Erased, "a key of 0xFF only is erased flash"),
+        (
+            &SealingKeyError::Erased,
+            "a key of 0xFF only is erased flash",
+        ),
         (
             &OpenError::NoCounter(SenderId(5)),
             "sender 5 has used up its counters, or its epochs",
         ),
         (
-            &PackError::OldVehicle,
+            &PackError::LegacyVehicle,
             "a MAVLink 2 packet for a vehicle of MAVLink 1",
         ),
         (&PermitError::NoSender, "a key without a sender"),
         (
-            &PermitError::Twice(SenderId(5)),
+            &PermitError::DuplicateSender(SenderId(5)),
             "sender 5 is permitted twice",
         ),
         (&PermitError::TableFull, "the table of senders is full"),
@@ -69,7 +72,7 @@ fn texts() {
             "counter 9 of epoch 1 is not newer than 1 of epoch 2, the last accepted",
         ),
         (
-            &OpenError::KeyWornOut,
+            &OpenError::IntegrityLimitReached,
             "too many wrong tags: the key is worn out",
         ),
         (&OpenError::BadTag, "bad tag: another key or a forgery"),
@@ -92,9 +95,12 @@ fn texts() {
             "a frame has at most 100 bytes, this one has 101",
         ),
         (&DecodeError::TooLong, "a frame of more than 100 bytes"),
-        (&DecodeError::CutEscape, "a frame that ends in an escape"),
         (
-            &DecodeError::UnknownTag(7),
+            &DecodeError::TruncatedEscape,
+            "a frame that ends in an escape",
+        ),
+        (
+            &DecodeError::UnknownKind(7),
             "a frame with the unknown tag 0x07",
         ),
         (
@@ -113,7 +119,7 @@ fn texts() {
 fn sources() {
     let wrapping: [(&dyn Error, &str); 3] = [
         (
-            &PermitError::Key(KeyError::AllZero),
+            &PermitError::Key(SealingKeyError::AllZero),
             "a key of zeros only is no key",
         ),
         (

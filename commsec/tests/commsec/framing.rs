@@ -1,6 +1,6 @@
 //! Framing: conformance strings, and what is dropped.
 
-use mavlink_commsec::hx::{Decoder, Frame, MAX_ENCODED_SIZE, Tag};
+use mavlink_commsec::hx::{Decoder, Frame, FrameKind, MAX_ENCODED_SIZE};
 use mavlink_commsec::{DecodeError, FrameError};
 
 use crate::common::{hex, seal};
@@ -15,13 +15,13 @@ fn decode(bytes: &[u8]) -> Vec<Outcome> {
     let mut outcomes = Vec::new();
     for byte in bytes {
         if let Some(outcome) = decoder.push(*byte) {
-            outcomes.push(outcome.map(|frame| (frame.tag().to_wire(), frame.payload().to_vec())));
+            outcomes.push(outcome.map(|frame| (frame.kind().to_wire(), frame.payload().to_vec())));
         }
     }
     outcomes
 }
 
-fn encode(tag: Tag, payload: &[u8]) -> Vec<u8> {
+fn encode(tag: FrameKind, payload: &[u8]) -> Vec<u8> {
     let frame = Frame::new(tag, payload).expect("a frame");
     frame.encode().collect()
 }
@@ -34,12 +34,12 @@ fn conformance_strings() {
         ("7e0001027e0003047e", &[air("0102"), air("0304")]),
         (
             "7e0001027c7e0003047e",
-            &[Err(DecodeError::CutEscape), air("0304")],
+            &[Err(DecodeError::TruncatedEscape), air("0304")],
         ),
         ("7e007c5e7c5c7c007c7c7e", &[air("7e7c205c")]),
         (
             "7e0701027e0003047e",
-            &[Err(DecodeError::UnknownTag(7)), air("0304")],
+            &[Err(DecodeError::UnknownKind(7)), air("0304")],
         ),
         ("7e007e7e0003047e", &[Err(DecodeError::Empty), air("0304")]),
         ("7e000102", &[]),
@@ -49,7 +49,7 @@ fn conformance_strings() {
     }
     let payload = hex("0102ff7b7c7d7e09");
     let encoded = hex("7e000102ff7b7c5c7d7c5e097e");
-    assert_eq!(encode(Tag::AirData, &payload), encoded);
+    assert_eq!(encode(FrameKind::AirData, &payload), encoded);
 }
 
 #[test]
@@ -66,14 +66,14 @@ fn reference_frames() {
         (b"ATI5\r", "7e01415449350d7e"),
         (&hex(STATUS), STATUS_FRAME),
     ] {
-        assert_eq!(encode(Tag::Radio, text), hex(frame));
+        assert_eq!(encode(FrameKind::Radio, text), hex(frame));
         assert_eq!(decode(&hex(frame)), [Ok((1, text.to_vec()))]);
     }
 }
 
 #[test]
 fn no_empty_and_no_endless_frames() {
-    for tag in [Tag::AirData, Tag::Radio] {
+    for tag in [FrameKind::AirData, FrameKind::Radio] {
         assert_eq!(Frame::new(tag, &[]), Err(FrameError::Empty));
         assert_eq!(Frame::new(tag, &[0; 101]), Err(FrameError::TooLong(101)));
         assert_eq!(encode(tag, &[1]).len(), 4);
@@ -91,7 +91,7 @@ fn too_long() {
         let expected = [Err(DecodeError::TooLong), Ok((0, vec![3, 4]))];
         assert_eq!(decode(&bytes), expected, "{length}");
     }
-    let longest = encode(Tag::Radio, &[0x7E; 100]);
+    let longest = encode(FrameKind::Radio, &[0x7E; 100]);
     assert_eq!(decode(&longest), [Ok((1, vec![0x7E; 100]))]);
     // What is escaped counts once.
     let mut escaped = longest;
@@ -103,7 +103,7 @@ fn too_long() {
 fn unknown_tags_are_passed_over() {
     for tag in (2..=255).filter(|tag| *tag != 0x7E) {
         let bytes = [&[0x7E, tag, 1, 2, 3][..], &hex("7e0003047e")].concat();
-        let expected = [Err(DecodeError::UnknownTag(tag)), Ok((0, vec![3, 4]))];
+        let expected = [Err(DecodeError::UnknownKind(tag)), Ok((0, vec![3, 4]))];
         assert_eq!(decode(&bytes), expected);
     }
 }
@@ -125,7 +125,7 @@ fn every_byte_round_trips() {
     let all: Vec<u8> = (0..=255).collect();
     for payload in all.chunks(100) {
         for noise in 0..=255 {
-            let bytes = [&[noise][..], &encode(Tag::AirData, payload)].concat();
+            let bytes = [&[noise][..], &encode(FrameKind::AirData, payload)].concat();
             assert_eq!(decode(&bytes), [Ok((0, payload.to_vec()))]);
         }
     }

@@ -1,11 +1,11 @@
-//! Opening: the acceptance trace, the order of checks, and what a refusal leaves behind.
+//! Opening: the acceptance trace, the order of checks, and what a rejection leaves behind.
 
 use mavlink_commsec::{
-    AesGcm, Cipher as _, Credential, FAILED_OPENS_LIMIT, KeyError, Nonce, OpenError, Opener,
-    PermitError, Sealer, SenderId,
+    AesGcm, Cipher as _, Credential, INTEGRITY_LIMIT, Nonce, OpenError, Opener, PermitError,
+    Sealer, SealingKeyError, SenderId,
 };
 
-use crate::common::{assert_refused, hex, key, last, message, receiver, seal};
+use crate::common::{assert_rejected, hex, key, last, message, receiver, seal};
 use crate::vectors::{self, A, B, B2, B8, BASE_KEY, BASE_SALT, C, UAV_KEY, UAV_SALT};
 
 const ALL_IDS: [u32; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
@@ -30,47 +30,47 @@ fn acceptance_trace() {
     };
     // 1: B is accepted.
     let opened = vehicle.open(&hex(B.package)).expect("row 1");
-    assert_eq!(opened.message(), &message(B.plain));
+    assert_eq!(opened.plaintext(), &message(B.plain));
     assert_eq!((opened.sender(), opened.counter()), (SenderId(5), 1));
     assert_eq!(last(&vehicle, 5), 1);
     // 2: B again is stale.
-    assert_refused(&mut vehicle, &hex(B.package), stale(1, 1));
+    assert_rejected(&mut vehicle, &hex(B.package), stale(1, 1));
     // 3: C is accepted, a jump.
     let opened = vehicle.open(&hex(C.package)).expect("row 3");
-    assert_eq!(opened.message(), &message(C.plain));
+    assert_eq!(opened.plaintext(), &message(C.plain));
     assert_eq!(last(&vehicle, 5), 31_870);
     // 4: B2, genuine and late.
-    assert_refused(&mut vehicle, &hex(B2.package), stale(2, 31_870));
+    assert_rejected(&mut vehicle, &hex(B2.package), stale(2, 31_870));
     // 5: C with its last bit changed is stale, not a bad tag: order comes first.
     let changed = with(C.package, 95, &[0xB7 ^ 1]);
-    assert_refused(&mut vehicle, &changed, stale(31_870, 31_870));
+    assert_rejected(&mut vehicle, &changed, stale(31_870, 31_870));
     assert_eq!(vehicle.failed_opens(SenderId(5)), Some(0));
     // 6: C with another counter.
     let changed = with(C.package, 4, &[0, 0, 0x7C, 0x7F]);
-    assert_refused(&mut vehicle, &changed, OpenError::BadTag);
+    assert_rejected(&mut vehicle, &changed, OpenError::BadTag);
     // 7: B with an id that nobody has.
     let changed = with(B.package, 0, &[0, 0, 0, 16]);
-    assert_refused(
+    assert_rejected(
         &mut vehicle,
         &changed,
         OpenError::UnknownSender(SenderId(16)),
     );
     // 8: B with the id of another station.
     let changed = with(B.package, 0, &[0, 0, 0, 6]);
-    assert_refused(&mut vehicle, &changed, OpenError::BadTag);
+    assert_rejected(&mut vehicle, &changed, OpenError::BadTag);
     assert_eq!(last(&vehicle, 6), 0);
     // 9: A, which goes the other way.
-    assert_refused(&mut vehicle, &hex(A.package), OpenError::BadTag);
+    assert_rejected(&mut vehicle, &hex(A.package), OpenError::BadTag);
     assert_eq!(last(&vehicle, 7), 0);
     // 10: B8, and a vehicle that has heard nobody.
     let mut fresh = self::vehicle();
-    assert_refused(&mut fresh, &hex(B8.package), OpenError::BadTag);
+    assert_rejected(&mut fresh, &hex(B8.package), OpenError::BadTag);
     assert_eq!(last(&fresh, 5), 0);
     // 11: other lengths.
     for length in [95, 97] {
         let mut package = hex(B2.package);
         package.resize(length, 0);
-        assert_refused(&mut vehicle, &package, OpenError::WrongLength(length));
+        assert_rejected(&mut vehicle, &package, OpenError::WrongLength(length));
     }
     assert_eq!(last(&vehicle, 5), 31_870);
     assert_eq!(vehicle.failed_opens(SenderId(5)), Some(3));
@@ -82,23 +82,28 @@ fn reference_packages_open() {
     for vector in vectors::ALL {
         let mut opener = receiver(vector.key, vector.salt, [vector.id]);
         let opened = opener.open(&hex(vector.package)).expect(vector.name);
-        assert_eq!(opened.message(), &message(vector.plain), "{}", vector.name);
+        assert_eq!(
+            opened.plaintext(),
+            &message(vector.plain),
+            "{}",
+            vector.name
+        );
         assert_eq!(opened.counter(), vector.counter, "{}", vector.name);
     }
 }
 
 #[test]
-fn every_other_length_is_refused() {
+fn every_other_length_is_rejected() {
     let mut vehicle = vehicle();
     for length in (0..96).chain(97..=200) {
         let package: Vec<u8> = hex(B.package).into_iter().cycle().take(length).collect();
-        assert_refused(&mut vehicle, &package, OpenError::WrongLength(length));
+        assert_rejected(&mut vehicle, &package, OpenError::WrongLength(length));
     }
-    assert_refused(&mut vehicle, &hex(vectors::E), OpenError::WrongLength(100));
+    assert_rejected(&mut vehicle, &hex(vectors::E), OpenError::WrongLength(100));
 }
 
 #[test]
-fn every_changed_bit_is_refused() {
+fn every_changed_bit_is_rejected() {
     let package = hex(B.package);
     let mut vehicle = receiver(BASE_KEY, BASE_SALT, [5]);
     for bit in 0..8 * package.len() {
@@ -113,22 +118,22 @@ fn every_changed_bit_is_refused() {
             7 if bit % 8 == 0 => stale(0, 0),
             _ => OpenError::BadTag,
         };
-        assert_refused(&mut vehicle, &changed, error);
+        assert_rejected(&mut vehicle, &changed, error);
     }
     assert_eq!(vehicle.failed_opens(SenderId(5)), Some(31 + 88 * 8));
     assert!(vehicle.open(&package).is_ok());
 }
 
 #[test]
-fn another_key_salt_or_sender_is_refused() {
+fn another_key_salt_or_sender_is_rejected() {
     let other_key = "000102030405060708090a0b0c0d0e1f";
     for (key, salt) in [(other_key, BASE_SALT), (BASE_KEY, BASE_SALT + 1)] {
         let mut opener = receiver(key, salt, [5]);
-        assert_refused(&mut opener, &hex(B.package), OpenError::BadTag);
+        assert_rejected(&mut opener, &hex(B.package), OpenError::BadTag);
     }
     let mut opener = receiver(BASE_KEY, BASE_SALT, [6]);
     let unknown = OpenError::UnknownSender(SenderId(5));
-    assert_refused(&mut opener, &hex(B.package), unknown);
+    assert_rejected(&mut opener, &hex(B.package), unknown);
     assert_eq!(opener.failed_opens(SenderId(5)), None);
 }
 
@@ -144,7 +149,7 @@ fn each_sender_has_its_key() {
     let mut six: Sealer = Sealer::new(key(other, 99), SenderId(6));
     let mut six_as_five: Sealer = Sealer::new(key(other, 99), SenderId(5));
     let forged = six_as_five.seal(&[1; 80]).expect("a counter is left");
-    assert_refused(&mut vehicle, forged.as_bytes(), OpenError::BadTag);
+    assert_rejected(&mut vehicle, forged.as_bytes(), OpenError::BadTag);
     let genuine = six.seal(&[2; 80]).expect("a counter is left");
     assert!(vehicle.open(genuine.as_bytes()).is_ok());
     assert!(vehicle.open(&hex(B.package)).is_ok());
@@ -159,10 +164,10 @@ fn each_sender_has_its_key() {
 
 /// A vehicle hears no packages that come back to it, even where a station has its id.
 #[test]
-fn reflected_packages_are_refused() {
+fn reflected_packages_are_rejected() {
     let mut vehicle = vehicle();
     let package = seal(&A).expect("a counter is left");
-    assert_refused(&mut vehicle, package.as_bytes(), OpenError::BadTag);
+    assert_rejected(&mut vehicle, package.as_bytes(), OpenError::BadTag);
 }
 
 #[test]
@@ -180,13 +185,17 @@ fn wrong_tags_wear_a_key_out() {
     for failed in 1..=3 {
         let mut package = forged(9);
         package[3] = 5 + (failed % 2) as u8;
-        assert_refused(&mut opener, &package, OpenError::BadTag);
+        assert_rejected(&mut opener, &package, OpenError::BadTag);
         assert_eq!(opener.failed_opens(SenderId(5)), Some(failed));
         assert_eq!(opener.failed_opens(SenderId(6)), Some(failed));
     }
     // From now on nothing of this key is tried, not even what is genuine; the order of checks stays.
-    assert_refused(&mut opener, &hex(B.package), OpenError::KeyWornOut);
-    assert_refused(&mut opener, &forged(0), stale(0, 0));
+    assert_rejected(
+        &mut opener,
+        &hex(B.package),
+        OpenError::IntegrityLimitReached,
+    );
+    assert_rejected(&mut opener, &forged(0), stale(0, 0));
     assert_eq!(opener.failed_opens(SenderId(5)), Some(3));
     // The other key is as good as before.
     assert!(opener.open(&hex(A.package)).is_ok());
@@ -194,26 +203,26 @@ fn wrong_tags_wear_a_key_out() {
 
 #[test]
 fn usual_limit() {
-    assert_eq!(FAILED_OPENS_LIMIT, 16_777_216);
+    assert_eq!(INTEGRITY_LIMIT, 16_777_216);
     let mut opener = receiver(BASE_KEY, BASE_SALT, [5]);
     let mut package = hex(B.package);
     package[95] ^= 1;
     for _ in 0..1_000 {
-        assert_refused(&mut opener, &package, OpenError::BadTag);
+        assert_rejected(&mut opener, &package, OpenError::BadTag);
     }
     assert!(opener.open(&hex(B.package)).is_ok());
 }
 
 #[test]
-fn resumed_receiver_refuses_what_was_before() {
+fn resumed_receiver_rejects_what_was_before() {
     let mut opener = Opener::<1>::new();
     let resumed = opener.resume(key(BASE_KEY, BASE_SALT), &[(SenderId(5), 1)]);
     resumed.expect("there is room");
-    assert_refused(&mut opener, &hex(B.package), stale(1, 1));
+    assert_rejected(&mut opener, &hex(B.package), stale(1, 1));
     assert!(opener.open(&hex(B2.package)).is_ok());
 }
 
-/// A genuine package with the counter behind the last one would make its sender's row refuse everything.
+/// A genuine package with the counter behind the last one would make its sender's row reject everything.
 #[test]
 fn no_counter() {
     let nonce: Nonce = hex("0000435300000005ffffffff")
@@ -224,7 +233,7 @@ fn no_counter() {
     let tag = cipher.seal(&nonce, &mut sealed).expect("AES does not fail");
     let package = [&nonce[4..], &sealed, &tag].concat();
     let mut opener = receiver(BASE_KEY, BASE_SALT, [5]);
-    assert_refused(&mut opener, &package, OpenError::NoCounter(SenderId(5)));
+    assert_rejected(&mut opener, &package, OpenError::NoCounter(SenderId(5)));
     assert_eq!(opener.failed_opens(SenderId(5)), Some(0));
     assert!(opener.open(&hex(B.package)).is_ok());
 }
@@ -235,7 +244,7 @@ fn last_counter() {
     let mut opener = receiver(BASE_KEY, BASE_SALT, [15]);
     assert!(opener.open(&hex(vectors::F.package)).is_ok());
     let end = u32::MAX - 1;
-    assert_refused(&mut opener, &hex(vectors::F.package), stale(end, end));
+    assert_rejected(&mut opener, &hex(vectors::F.package), stale(end, end));
 }
 
 /// Stations of one key are permitted with one key; marks are kept.
@@ -252,22 +261,29 @@ fn receiver_of_credentials() {
         credential(6, BASE_KEY, BASE_SALT),
         credential(8, BASE_KEY, BASE_SALT + 1),
     ];
-    let mut opener = Opener::<4>::of(&all, |id| id.0 - 5).expect("there is room");
+    let mut opener = Opener::<4>::from_credentials(&all, |id| id.0 - 5).expect("there is room");
     let senders: Vec<_> = opener.senders().map(|(id, last)| (id.0, last)).collect();
     assert_eq!(senders, [(5, 0), (6, 1), (7, 2), (8, 3)]);
     let mut forged = hex(B.package);
     forged[4..8].copy_from_slice(&[0, 0, 0, 9]);
-    assert_refused(&mut opener, &forged, OpenError::BadTag);
+    assert_rejected(&mut opener, &forged, OpenError::BadTag);
     let failed = [5, 6, 7, 8].map(|id| opener.failed_opens(SenderId(id)));
     assert_eq!(failed, [Some(1), Some(1), Some(0), Some(0)]);
     assert!(opener.open(&hex(B.package)).is_ok());
-    assert_refused(&mut opener, &hex(A.package), stale(1, 2));
+    assert_rejected(&mut opener, &hex(A.package), stale(1, 2));
 
-    let error = |credentials: &[Credential]| Opener::<4>::of(credentials, |_| 0).err();
+    let error =
+        |credentials: &[Credential]| Opener::<4>::from_credentials(credentials, |_| 0).err();
     let zero = credential(1, "00000000000000000000000000000000", 1);
-    assert_eq!(error(&[zero]), Some(PermitError::Key(KeyError::AllZero)));
+    assert_eq!(
+        error(&[zero]),
+        Some(PermitError::Key(SealingKeyError::AllZero))
+    );
     let twice = [credential(5, BASE_KEY, 1), credential(5, UAV_KEY, 1)];
-    assert_eq!(error(&twice), Some(PermitError::Twice(SenderId(5))));
+    assert_eq!(
+        error(&twice),
+        Some(PermitError::DuplicateSender(SenderId(5)))
+    );
     let five = [1, 2, 3, 4, 5].map(|id| credential(id, BASE_KEY, id));
     assert_eq!(error(&five), Some(PermitError::TableFull));
     assert_eq!(error(&[]), None);
@@ -280,7 +296,7 @@ fn permitting() {
     let mut opener = Opener::<3>::new();
     assert_eq!(opener.permit(new_key(), &[]), Err(PermitError::NoSender));
     let twice = [SenderId(5), SenderId(6), SenderId(5)];
-    let error = PermitError::Twice(SenderId(5));
+    let error = PermitError::DuplicateSender(SenderId(5));
     assert_eq!(opener.permit(new_key(), &twice), Err(error));
     assert_eq!(opener.senders().count(), 0);
     assert_eq!(opener.permit(new_key(), &five_six), Ok(()));

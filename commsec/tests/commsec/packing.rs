@@ -2,13 +2,13 @@
 
 use core::time::Duration;
 
-use mavlink_commsec::{Message, OLD_VEHICLE_SIZE, PackError, Packer, UnpackError, packets};
+use mavlink_commsec::{LEGACY_SIZE, PackError, Packer, Plaintext, UnpackError, packets};
 use mavlink_signing::ParseError;
 
 use crate::common::{hex, message};
 use crate::vectors::{A, B, C};
 
-const PATIENCE: Duration = Duration::from_millis(50);
+const MAX_DELAY: Duration = Duration::from_millis(50);
 const START: Duration = Duration::from_secs(7);
 
 /// A MAVLink 1 packet of `size` bytes with message `id`; its checksum is of no concern here.
@@ -26,7 +26,7 @@ fn packet2(id: u8, size: usize) -> Vec<u8> {
 }
 
 /// What a message holds.
-fn unpack(message: &Message) -> Vec<Vec<u8>> {
+fn unpack(message: &Plaintext) -> Vec<Vec<u8>> {
     let packets = packets(message).map(|packet| packet.expect("a packet").to_vec());
     packets.collect()
 }
@@ -38,7 +38,7 @@ fn reference_messages() {
         let message = message(vector.plain);
         let found = unpack(&message);
         assert_eq!(found.len(), count, "{}", vector.name);
-        let mut packer = Packer::new(PATIENCE);
+        let mut packer = Packer::new(MAX_DELAY);
         for packet in &found {
             assert_eq!(packer.push(packet, START), Ok(None));
         }
@@ -49,7 +49,7 @@ fn reference_messages() {
 #[test]
 fn heartbeat_does_not_wait() {
     for heartbeat in [packet(0, 17), packet2(0, 21)] {
-        let mut packer = Packer::new(PATIENCE);
+        let mut packer = Packer::new(MAX_DELAY);
         assert_eq!(packer.push(&packet(30, 36), START), Ok(None));
         assert_eq!(packer.poll(START), None);
         assert_eq!(packer.push(&heartbeat, START), Ok(None));
@@ -65,7 +65,7 @@ fn heartbeat_does_not_wait() {
 /// A heartbeat that does not fit sends what is before it, and then itself.
 #[test]
 fn heartbeat_behind_a_full_message() {
-    let mut packer = Packer::new(PATIENCE);
+    let mut packer = Packer::new(MAX_DELAY);
     assert_eq!(packer.push(&packet(30, 70), START), Ok(None));
     let full = packer.push(&packet(0, 17), START).expect("a packet");
     assert_eq!(unpack(&full.expect("a message")), [packet(30, 70)]);
@@ -75,28 +75,30 @@ fn heartbeat_behind_a_full_message() {
 
 #[test]
 fn nothing_waits_longer_than_patience() {
-    let mut packer = Packer::new(PATIENCE);
+    let mut packer = Packer::new(MAX_DELAY);
     let short = Duration::from_millis(49);
     assert_eq!(packer.push(&packet(30, 10), START), Ok(None));
     assert_eq!(packer.push(&packet(31, 10), START + short), Ok(None));
     assert_eq!(packer.poll(START + short), None);
-    let message = packer.poll(START + PATIENCE).expect("the first has waited");
+    let message = packer
+        .poll(START + MAX_DELAY)
+        .expect("the first has waited");
     assert_eq!(unpack(&message), [packet(30, 10), packet(31, 10)]);
     // The clock starts with the first packet of a message, also where another one made room.
-    assert_eq!(packer.poll(START + 9 * PATIENCE), None);
-    let later = START + 10 * PATIENCE;
+    assert_eq!(packer.poll(START + 9 * MAX_DELAY), None);
+    let later = START + 10 * MAX_DELAY;
     assert_eq!(packer.push(&packet(30, 60), later), Ok(None));
     assert!(matches!(
         packer.push(&packet(31, 60), later + short),
         Ok(Some(_))
     ));
-    assert_eq!(packer.poll(later + PATIENCE), None);
-    assert!(packer.poll(later + short + PATIENCE).is_some());
+    assert_eq!(packer.poll(later + MAX_DELAY), None);
+    assert!(packer.poll(later + short + MAX_DELAY).is_some());
 }
 
 #[test]
 fn eighty_bytes_fit_and_not_one_more() {
-    let mut packer = Packer::new(PATIENCE);
+    let mut packer = Packer::new(MAX_DELAY);
     for fits in [packet(1, 80), packet2(1, 80)] {
         assert_eq!(packer.push(&fits, START), Ok(None));
         let message = packer.flush().expect("a message");
@@ -104,10 +106,10 @@ fn eighty_bytes_fit_and_not_one_more() {
         assert_eq!(unpack(&message), [fits]);
     }
     assert_eq!(packer.push(&packet(1, 40), START), Ok(None));
-    for (refused, long) in (1..).zip([packet(1, 81), packet2(1, 81), packet2(1, 267)]) {
+    for (rejected, long) in (1..).zip([packet(1, 81), packet2(1, 81), packet2(1, 267)]) {
         let error = PackError::TooLong(long.len());
         assert_eq!(packer.push(&long, START), Err(error));
-        assert_eq!(packer.refused(), refused);
+        assert_eq!(packer.rejected(), rejected);
     }
     // What was pending is still there, and fills up to the last byte.
     assert_eq!(packer.push(&packet(2, 40), START), Ok(None));
@@ -118,7 +120,7 @@ fn eighty_bytes_fit_and_not_one_more() {
 /// Old vehicles lose what lies behind byte 71.
 #[test]
 fn old_vehicles() {
-    let mut packer = Packer::for_old_vehicles(PATIENCE);
+    let mut packer = Packer::legacy(MAX_DELAY);
     assert_eq!(
         packer.push(&packet(1, 73), START),
         Err(PackError::TooLong(73))
@@ -127,19 +129,19 @@ fn old_vehicles() {
     assert_eq!(packer.push(&packet(2, 36), START), Ok(None));
     // Nor do they know MAVLink 2, of whatever length.
     for size in [12, 36, 72, 80] {
-        let refused = packer.push(&packet2(1, size), START);
-        assert_eq!(refused, Err(PackError::OldVehicle));
+        let rejected = packer.push(&packet2(1, size), START);
+        assert_eq!(rejected, Err(PackError::LegacyVehicle));
     }
-    assert_eq!(packer.refused(), 5);
+    assert_eq!(packer.rejected(), 5);
     let full = packer.push(&packet(3, 8), START).expect("a packet");
     let full = full.expect("a message");
-    assert_eq!(full[OLD_VEHICLE_SIZE..], [0; 8]);
+    assert_eq!(full[LEGACY_SIZE..], [0; 8]);
     assert_eq!(unpack(&full), [packet(1, 36), packet(2, 36)]);
 }
 
 #[test]
 fn only_whole_packets_are_packed() {
-    let mut packer = Packer::new(PATIENCE);
+    let mut packer = Packer::new(MAX_DELAY);
     let cut = packet(1, 40)[..39].to_vec();
     let two = [packet(1, 20), packet(2, 20)].concat();
     let mut flags = packet2(1, 30);
@@ -152,9 +154,9 @@ fn only_whole_packets_are_packed() {
         (two, PackError::Trailing(20)),
         (flags, PackError::Parse(ParseError::UnknownIncompatFlags(2))),
     ];
-    for (refused, (bytes, error)) in (1..).zip(cases) {
+    for (rejected, (bytes, error)) in (1..).zip(cases) {
         assert_eq!(packer.push(&bytes, START), Err(error));
-        assert_eq!(packer.refused(), refused);
+        assert_eq!(packer.rejected(), rejected);
         assert_eq!(packer.flush(), None);
     }
 }

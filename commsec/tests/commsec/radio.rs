@@ -1,7 +1,7 @@
 //! What a host and its radio say to each other.
 
 use mavlink_commsec::RadioError;
-use mavlink_commsec::radio::{Answer, Debug, Request, Status};
+use mavlink_commsec::radio::{Answer, DebugStatus, Request, Status};
 
 use crate::common::hex;
 use crate::vectors::{GCS_RADIO, STATUS};
@@ -49,7 +49,7 @@ fn reference_status() {
 
 #[test]
 fn debug_status() {
-    let debug = Debug {
+    let debug = DebugStatus {
         largest_window: 9,
         tx_queue: [1, 2],
         rx_queue: [3, 4],

@@ -1,9 +1,9 @@
 //! Sealing: the reference packages, counters, and the end of them.
 
-use mavlink_commsec::field::{HEADER_SIZE, MESSAGE_SIZE};
+use mavlink_commsec::field::{HEADER_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::{
-    AesGcm, Cipher, CipherError, Credential, Key, KeyError, Message, Nonce, Packer, SealError,
-    Sealer, SenderId, Tag, ZeroizeOnDrop, packets,
+    AesGcm, Cipher, CipherError, Credential, Nonce, PackageTag, Packer, Plaintext, SealError,
+    Sealer, SealingKey, SealingKeyError, SenderId, ZeroizeOnDrop, packets,
 };
 
 use crate::common::{hex, key, message, seal};
@@ -22,26 +22,29 @@ fn reference_packages() {
     }
 }
 
-/// A key of zeros is refused as a key, and the cipher behind it agrees with the reference.
+/// A key of zeros is rejected as a key, and the cipher behind it agrees with the reference.
 #[test]
 fn key_of_zeros() {
     assert_eq!(
-        Key::<AesGcm>::new(&[0; 16], 0).err(),
-        Some(KeyError::AllZero)
+        SealingKey::<AesGcm>::new(&[0; 16], 0).err(),
+        Some(SealingKeyError::AllZero)
     );
     let nonce = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1];
-    let mut sealed = [0; MESSAGE_SIZE];
+    let mut sealed = [0; PLAINTEXT_SIZE];
     let tag = AesGcm::new(&[0; 16]).seal(&nonce, &mut sealed);
     let expected = hex(vectors::G);
-    assert_eq!(expected[HEADER_SIZE..][..MESSAGE_SIZE], sealed);
-    assert_eq!(expected[HEADER_SIZE + MESSAGE_SIZE..], tag.expect("a tag"));
+    assert_eq!(expected[HEADER_SIZE..][..PLAINTEXT_SIZE], sealed);
+    assert_eq!(
+        expected[HEADER_SIZE + PLAINTEXT_SIZE..],
+        tag.expect("a tag")
+    );
 }
 
 #[test]
 fn keys_of_other_lengths() {
     for length in [0, 15, 17, 32] {
-        let key = Key::<AesGcm>::new(&vec![1; length], 1);
-        assert_eq!(key.err(), Some(KeyError::WrongLength(length)));
+        let key = SealingKey::<AesGcm>::new(&vec![1; length], 1);
+        assert_eq!(key.err(), Some(SealingKeyError::WrongLength(length)));
     }
 }
 
@@ -51,18 +54,18 @@ fn keys_with_one_byte() {
     for at in 0..16 {
         let mut bytes = [0; 16];
         bytes[at] = 1;
-        assert!(Key::<AesGcm>::new(&bytes, 0).is_ok());
+        assert!(SealingKey::<AesGcm>::new(&bytes, 0).is_ok());
     }
 }
 
 /// The old test program sealed 84 bytes: the first 80 come out the same.
 #[test]
 fn longer_package_has_the_same_keystream() {
-    let mut text = [b' '; MESSAGE_SIZE];
+    let mut text = [b' '; PLAINTEXT_SIZE];
     text[..27].copy_from_slice(b"This is a message from uav!");
     let mut sealer: Sealer = Sealer::new(key(BASE_KEY, 284_920), SenderId(0));
     let package = sealer.seal(&text).expect("a counter is left");
-    let same = HEADER_SIZE + MESSAGE_SIZE;
+    let same = HEADER_SIZE + PLAINTEXT_SIZE;
     assert_eq!(package.as_bytes()[..same], hex(vectors::E)[..same]);
     assert_ne!(package.as_bytes()[same..], hex(vectors::E)[same..][..8]);
 }
@@ -84,9 +87,11 @@ fn counters_begin_at_one_and_go_up_by_one() {
     let mut sealer: Sealer = Sealer::new(key(BASE_KEY, BASE_SALT), SenderId(5));
     for counter in 1..=300_u32 {
         assert_eq!(sealer.next_counter(), Some(counter));
-        let package = sealer.seal(&[0; MESSAGE_SIZE]).expect("a counter is left");
+        let package = sealer
+            .seal(&[0; PLAINTEXT_SIZE])
+            .expect("a counter is left");
         let header: &[u8; 8] = package.as_bytes().first_chunk().expect("96 bytes");
-        let header = mavlink_commsec::Header::from_wire(header);
+        let header = mavlink_commsec::PackageHeader::from_wire(header);
         assert_eq!((header.sender, header.counter), (SenderId(5), counter));
     }
     assert_eq!(sealer.id(), SenderId(5));
@@ -101,12 +106,12 @@ fn counter_zero_is_never_used() {
 #[test]
 fn exhausted_counter_sends_nothing() {
     let mut sealer: Sealer = Sealer::resume(key(BASE_KEY, BASE_SALT), SenderId(15), u32::MAX - 1);
-    let last = sealer.seal(&[0; MESSAGE_SIZE]).expect("the last one");
+    let last = sealer.seal(&[0; PLAINTEXT_SIZE]).expect("the last one");
     assert_eq!(last.as_bytes()[..], hex(vectors::F.package));
     for _ in 0..3 {
         assert_eq!(sealer.next_counter(), None);
-        let refused = sealer.seal(&[0; MESSAGE_SIZE]);
-        assert_eq!(refused, Err(SealError::CounterExhausted));
+        let rejected = sealer.seal(&[0; PLAINTEXT_SIZE]);
+        assert_eq!(rejected, Err(SealError::CounterExhausted));
     }
 }
 
@@ -120,7 +125,7 @@ impl Cipher for Unit {
         Self(core::cell::Cell::new(0))
     }
 
-    fn seal(&self, _: &Nonce, _: &mut Message) -> Result<Tag, CipherError> {
+    fn seal(&self, _: &Nonce, _: &mut Plaintext) -> Result<PackageTag, CipherError> {
         self.0.set(self.0.get() + 1);
         if self.0.get().is_multiple_of(2) {
             Ok([7; 8])
@@ -129,7 +134,7 @@ impl Cipher for Unit {
         }
     }
 
-    fn open(&self, _: &Nonce, _: &mut Message, _: &Tag) -> Result<(), CipherError> {
+    fn open(&self, _: &Nonce, _: &mut Plaintext, _: &PackageTag) -> Result<(), CipherError> {
         Err(CipherError)
     }
 }
@@ -137,8 +142,8 @@ impl Cipher for Unit {
 /// Erased flash is no key either; one bit of another makes one.
 #[test]
 fn key_of_erased_flash() {
-    let made = |bytes: &[u8]| Key::<AesGcm>::new(bytes, 0).err();
-    assert_eq!(made(&[0xFF; 16]), Some(KeyError::Erased));
+    let made = |bytes: &[u8]| SealingKey::<AesGcm>::new(bytes, 0).err();
+    assert_eq!(made(&[0xFF; 16]), Some(SealingKeyError::Erased));
     for at in [0, 7, 15] {
         let mut bytes = [0xFF; 16];
         bytes[at] = 0xFE;
@@ -152,11 +157,13 @@ fn key_of_erased_flash() {
 /// What a unit failed to seal is not sent, and its counter is not used again.
 #[test]
 fn failed_unit_uses_the_counter_up() {
-    let key = Key::<Unit>::new(&[1; 16], 1).expect("a key");
+    let key = SealingKey::<Unit>::new(&[1; 16], 1).expect("a key");
     let mut sealer = Sealer::new(key, SenderId(5));
-    assert_eq!(sealer.seal(&[1; MESSAGE_SIZE]), Err(SealError::Cipher));
+    assert_eq!(sealer.seal(&[1; PLAINTEXT_SIZE]), Err(SealError::Cipher));
     assert_eq!(sealer.next_counter(), Some(2));
-    let sealed = sealer.seal(&[1; MESSAGE_SIZE]).expect("every second time");
+    let sealed = sealer
+        .seal(&[1; PLAINTEXT_SIZE])
+        .expect("every second time");
     assert_eq!(sealed.as_bytes()[4..8], [0, 0, 0, 2]);
 }
 
@@ -190,16 +197,16 @@ fn debug_shows_no_secrets() {
             assert_eq!(pushed, Ok(None));
             format!("{packer:?}")
         },
-        format!("{:?}", packets(&[0x41; MESSAGE_SIZE])),
+        format!("{:?}", packets(&[0x41; PLAINTEXT_SIZE])),
     ];
     let expected = [
         "Key(redacted)",
         "AesGcm(redacted)",
         "Credential { id: SenderId(5), .. }",
         "Sealer { key: Key(redacted), id: SenderId(5), next: 1 }",
-        "Ok(Opened { header: Header { sender: SenderId(5), counter: 1 }, .. })",
+        "Ok(Opened { header: PackageHeader { sender: SenderId(5), counter: 1 }, .. })",
         "Opener { senders: [Row { sender: SenderId(5), key: 0, last: 0 }], limit: 16777216, .. }",
-        "Packer { pending: 10, refused: 0, .. }",
+        "Packer { pending: 10, rejected: 0, .. }",
         "Packets { rest: 80 }",
     ];
     assert_eq!(shown, expected);

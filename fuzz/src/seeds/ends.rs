@@ -20,7 +20,7 @@ fn stage(kind: u8, of: u8) -> Stage {
     }
 }
 
-/// The same after a time that is longer than the patience.
+/// The same after a time that is longer than the maximum delay.
 fn later(kind: u8, of: u8) -> Stage {
     Stage {
         ticks: 2000,
@@ -134,7 +134,7 @@ impl Seeds {
                 none,
             ),
             (
-                "flash_refuses",
+                "flash_rejects",
                 vec![
                     stage(15, 0),
                     stage(15, 1),
@@ -149,7 +149,7 @@ impl Seeds {
                 let input = Ends {
                     station,
                     first: [[0, 0], [0, 1]],
-                    patience: 50,
+                    max_delay: 50,
                     stages: stages.clone(),
                     bytes,
                     ..Ends::default()

@@ -82,7 +82,7 @@ impl Seeds {
             events.extend(CHANGE);
             events
         };
-        let refused = |side, at: usize| {
+        let rejected = |side, at: usize| {
             let mut events = CHANGE.to_vec();
             events.insert(at, Event::Fail(side, true));
             events.extend(CHANGE);
@@ -96,8 +96,8 @@ impl Seeds {
             ("cut_in_their_confirmation", cut(theirs, 7)),
             ("cut_in_our_retirement", cut(ours, 8)),
             ("cut_in_their_retirement", cut(theirs, 9)),
-            ("offer_refused", refused(ours, 0)),
-            ("retirement_refused", refused(ours, 8)),
+            ("offer_rejected", rejected(ours, 0)),
+            ("retirement_rejected", rejected(ours, 8)),
             (
                 "two_keys_offered",
                 vec![

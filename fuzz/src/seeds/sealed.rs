@@ -304,7 +304,7 @@ impl Seeds {
                 let input = Packets {
                     old,
                     polls: true,
-                    patience: 50,
+                    max_delay: 50,
                     message,
                     shapes: shapes.clone(),
                 };

@@ -143,7 +143,7 @@ impl Seeds {
         let recorded: Vec<_> = telemetry.iter().take(8).flatten().copied().collect();
         let now = Moment::after_now(0);
         let end = Moment::before_the_end(0);
-        for (name, now, plain, secure) in [
+        for (name, now, local, link) in [
             ("telemetry", now, recorded, vec![]),
             ("both_ways", now, heartbeat(), verified(20)),
             (
@@ -192,14 +192,14 @@ impl Seeds {
             for (way, whole, turns) in
                 [("whole", true, vec![]), ("stripped", false, slowly.clone())]
             {
-                let bytes = [&plain[..], &secure].concat();
-                let (plain, bytes) = (plain.len() as u16, &bytes[..]);
+                let bytes = [&local[..], &link].concat();
+                let (local, bytes) = (local.len() as u16, &bytes[..]);
                 let input = Piped {
                     whole,
                     now,
                     spared: 0,
                     turns,
-                    plain,
+                    local,
                     bytes,
                 };
                 self.add("relay", &format!("{name}_{way}"), &input);
@@ -218,13 +218,13 @@ impl Seeds {
     }
 
     pub(super) fn ports(&mut self) {
-        let plain = unsigned(HEARTBEAT, &BEAT);
-        let bytes = [&plain[..], &signed(HEARTBEAT, &BEAT, 2, 0)].concat();
+        let local = unsigned(HEARTBEAT, &BEAT);
+        let bytes = [&local[..], &signed(HEARTBEAT, &BEAT, 2, 0)].concat();
         let input = |polls| Faulty {
             link_ids: [1, 2],
             start: Moment::after_now(0),
             polls,
-            plain: plain.len() as u16,
+            local: local.len() as u16,
             bytes: &bytes,
         };
         let port = |fault| Behaviour {
@@ -232,9 +232,9 @@ impl Seeds {
             room: 10,
             fault,
         };
-        let poll = |plain, secure| Poll {
+        let poll = |local, link| Poll {
             ticks: 0,
-            ports: [port(plain), port(secure)],
+            ports: [port(local), port(link)],
         };
         for (fault, name) in (1..).zip([
             "reading_not_ready",

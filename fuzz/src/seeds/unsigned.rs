@@ -66,7 +66,7 @@ impl Seeds {
             ("radio_status_signed", signed(RADIO_STATUS, &[1; 9], 0, 0)),
         ] {
             for (policy, link_id, way) in [
-                (0, 3, "refuse"),
+                (0, 3, "reject"),
                 (1, 3, "radio_status_alone"),
                 (2, 4, "other_port"),
                 (3, 3, "answered"),

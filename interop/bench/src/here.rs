@@ -1,8 +1,8 @@
 //! The core, as a sender and as a receiver.
 
 use mavlink_signing::{
-    Admit, Frame, FrameRef, Links, Profile, Replay, SigningKey, Stamper, Streams, Window,
-    authenticate, sign_frame,
+    AntiReplay, Frame, FrameRef, Links, Profile, ReplayGuard, SigningKey, Stamper, StreamTable,
+    Window, authenticate, sign_frame,
 };
 
 use crate::messages::{KEY, LINK, Message, clock};
@@ -21,14 +21,14 @@ pub fn sender() -> Stamper {
 
 /// A receiver of one stream that has accepted nothing yet.
 #[must_use]
-pub fn one_stream() -> Replay {
-    Replay::new(LINK, Window::SEED)
+pub fn one_stream() -> ReplayGuard {
+    ReplayGuard::new(LINK, Window::STRICT)
 }
 
 /// A receiver of up to 16 streams that has accepted nothing yet.
 #[must_use]
-pub fn streams() -> Streams<16> {
-    Streams::new(Links::Only(LINK), Window::SEED)
+pub fn streams() -> StreamTable<16> {
+    StreamTable::new(Links::Only(LINK), Window::STRICT)
 }
 
 /// From header and payload to the frame on the wire.
@@ -46,7 +46,11 @@ pub fn sign<P: Profile>(
 }
 
 /// From received bytes to the bytes to act on: how many there are.
-pub fn verify<P: Profile>(bytes: &[u8], key: &SigningKey<P>, receiver: &mut impl Admit) -> usize {
+pub fn verify<P: Profile>(
+    bytes: &[u8],
+    key: &SigningKey<P>,
+    receiver: &mut impl AntiReplay,
+) -> usize {
     let frame = FrameRef::parse(bytes).expect("a frame");
     let authentic = authenticate(frame, key).expect("signed with the key");
     let verified = receiver.admit(authentic, clock()).expect("in order");

@@ -1,7 +1,7 @@
 //! The constants compile, and are those of the file: both ends of the example link.
 
 use mavlink_commsec::{AesGcm, EpochHeader, EpochSenderId, HeaderFormat as _, Opener, Sealer};
-use mavseal_keys::{Header, KeyFile, Who};
+use mavseal_keys::{HeaderKind, KeyFile, Role};
 
 use crate::{KEYS_MK, PUBLISHED};
 
@@ -21,11 +21,11 @@ mod epoch_vehicle {
 #[test]
 fn files_are_what_is_made() {
     let file = KeyFile::from_keys_mk(KEYS_MK, PUBLISHED).expect("a key file");
-    let made = |who| file.constants(who).expect("a sender");
-    assert_eq!(*made(Who::Vehicle), include_str!("vehicle.rs"));
-    assert_eq!(*made(Who::Station(5)), include_str!("station.rs"));
-    let file = file.with_header(Header::CounterEpochId);
-    let made = file.expect("small ids").constants(Who::Vehicle);
+    let made = |who| file.to_rust_source(who).expect("a sender");
+    assert_eq!(*made(Role::Vehicle), include_str!("vehicle.rs"));
+    assert_eq!(*made(Role::Station(5)), include_str!("station.rs"));
+    let file = file.with_header(HeaderKind::CounterEpochId);
+    let made = file.expect("small ids").to_rust_source(Role::Vehicle);
     assert_eq!(*made.expect("a sender"), include_str!("epoch_vehicle.rs"));
 }
 
@@ -38,8 +38,8 @@ fn constants_with_epochs() {
     let package = sealer.seal(&[7; 80]).expect("a counter is left");
     assert_eq!(package.as_bytes()[..8], [0, 0, 0, 1, 0, 3, 0, 7]);
     let peers = &epoch_vehicle::PEERS;
-    let none = EpochHeader::BEFORE_ALL;
-    let opener = Opener::<1, AesGcm, EpochHeader>::of(peers, |_| none);
+    let none = EpochHeader::ZERO;
+    let opener = Opener::<1, AesGcm, EpochHeader>::from_credentials(peers, |_| none);
     let opener = opener.expect("there is room");
     assert_eq!(
         opener.senders().collect::<Vec<_>>(),
@@ -56,10 +56,10 @@ fn ends_hear_each_other() {
     ];
     for (own, peers) in ends {
         let mut sealer: Sealer = Sealer::new(own.prepare().expect("a key"), own.id);
-        let mut opener = Opener::<1>::of(peers, |_| 0).expect("there is room");
+        let mut opener = Opener::<1>::from_credentials(peers, |_| 0).expect("there is room");
         let package = sealer.seal(&[7; 80]).expect("a counter is left");
         let opened = opener.open(package.as_bytes()).expect("permitted");
-        assert_eq!((opened.sender(), opened.message()), (own.id, &[7; 80]));
+        assert_eq!((opened.sender(), opened.plaintext()), (own.id, &[7; 80]));
     }
     assert_eq!([vehicle::OWN.id.0, station::OWN.id.0], [7, 5]);
 }

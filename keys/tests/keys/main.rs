@@ -1,8 +1,8 @@
-//! The key file: read, refused, made, and turned into constants.
+//! The key file: read, rejected, made, and turned into constants.
 
 use std::{fs, path::PathBuf};
 
-use mavseal_keys::{Exceptions, Header, KeyFile, KeyFileError, MAX_STATIONS, Sender, Who};
+use mavseal_keys::{Exceptions, HeaderKind, KeyFile, KeyFileError, MAX_STATIONS, Role, SenderKeys};
 
 mod constants;
 
@@ -23,13 +23,13 @@ fn keys_mk(text: &str) -> Result<KeyFile, KeyFileError> {
     KeyFile::from_keys_mk(text, PUBLISHED)
 }
 
-/// Why `text` is refused, in words.
+/// Why `text` is rejected, in words.
 fn fault(read: Result<KeyFile, KeyFileError>) -> String {
-    read.expect_err("refused").to_string()
+    read.expect_err("rejected").to_string()
 }
 
-fn sender(id: u32, key: u8, salt: u32) -> Sender {
-    Sender {
+fn sender(id: u32, key: u8, salt: u32) -> SenderKeys {
+    SenderKeys {
         id,
         key: [key; 16].into(),
         salt,
@@ -56,7 +56,7 @@ fn keys_mk_is_read_in_decimal() {
 }
 
 #[test]
-fn published_keys_are_refused() {
+fn published_keys_are_rejected() {
     let read = KeyFile::from_keys_mk(KEYS_MK, Exceptions::default());
     assert!(matches!(read, Err(KeyFileError::Published(7))));
     for first in [
@@ -271,7 +271,7 @@ fn faults_of_toml() {
 
 /// The file that the documentation shows is no key file: its keys are published.
 #[test]
-fn example_of_the_documentation_is_refused() {
+fn example_of_the_documentation_is_rejected() {
     let readme = include_str!("../../README.md");
     let (_, rest) = readme.split_once("```toml\n").expect("an example");
     let (example, _) = rest.split_once("```").expect("its end");
@@ -284,26 +284,26 @@ fn headers() {
     let small = TOML.replacen("4000000000", "65535", 1);
     assert_eq!(
         toml(&small).expect("a key file").header(),
-        Header::IdCounter
+        HeaderKind::IdCounter
     );
     let epochs = small.replacen("id-counter", "counter-epoch-id", 1);
     let file = toml(&epochs).expect("a key file");
-    assert_eq!(file.header(), Header::CounterEpochId);
+    assert_eq!(file.header(), HeaderKind::CounterEpochId);
     assert_eq!(toml(&file.to_toml()).expect("a key file"), file);
-    let other = toml(&small).and_then(|file| file.with_header(Header::CounterEpochId));
+    let other = toml(&small).and_then(|file| file.with_header(HeaderKind::CounterEpochId));
     assert_eq!(other.expect("ids of 16 bits"), file);
     let large = toml(&small.replacen("65535", "65536", 1));
-    let large = large.and_then(|file| file.with_header(Header::CounterEpochId));
+    let large = large.and_then(|file| file.with_header(HeaderKind::CounterEpochId));
     assert!(matches!(large, Err(KeyFileError::IdTooLarge(65_536, _))));
     assert_eq!(
         keys_mk(KEYS_MK).expect("a key file").header(),
-        Header::IdCounter
+        HeaderKind::IdCounter
     );
     assert_eq!(
-        Header::named("counter-epoch-id"),
-        Some(Header::CounterEpochId)
+        HeaderKind::named("counter-epoch-id"),
+        Some(HeaderKind::CounterEpochId)
     );
-    assert_eq!(Header::named(""), None);
+    assert_eq!(HeaderKind::named(""), None);
 }
 
 /// An error quotes nothing that may be a key, wherever in the file it stands.
@@ -321,7 +321,7 @@ fn errors_show_no_keys() {
         TOML.replacen("[vehicle]", &format!("[{key}]"), 1),
         format!("{TOML}{key}"),
     ] {
-        let error = toml(&text).expect_err("refused");
+        let error = toml(&text).expect_err("rejected");
         for shown in [error.to_string(), format!("{error:?}")] {
             assert!(!shown.contains(&key[..8]), "{shown}");
         }
@@ -424,7 +424,7 @@ fn files() {
 fn constants_of_nobody() {
     let file = keys_mk(KEYS_MK).expect("a key file");
     for id in [6, 7] {
-        let made = file.constants(Who::Station(id));
+        let made = file.to_rust_source(Role::Station(id));
         assert!(matches!(made, Err(KeyFileError::NoStation(n)) if n == id));
     }
 }

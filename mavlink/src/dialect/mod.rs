@@ -1,7 +1,7 @@
 //! The chosen dialect: the `crc_extra` byte of every message it defines.
 //!
 //! A MAVLink packet's checksum covers one byte that is not sent: `crc_extra`, computed from the
-//! message's definition, so that two ends with different definitions refuse each other's packets
+//! message's definition, so that two ends with different definitions reject each other's packets
 //! ([Packet Serialization](https://mavlink.io/en/guide/serialization.html#crc_extra)). A receiver
 //! must therefore know it for each message, and some dialects give one id to different messages.
 //! So one dialect is in use, chosen by the feature of this crate that has its name in lower case.

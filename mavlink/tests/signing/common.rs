@@ -1,8 +1,8 @@
 //! What the tests of frames share.
 
 use mavlink_signing::{
-    Frame, FrameRef, Header, Hmac, MavLinkState, MessageId, Replay, SigningKey, Stamp, Timestamp,
-    Verified, VerifyError, Window, sign_frame, verify_frame,
+    Frame, FrameRef, Header, Hmac, MavLinkState, MessageId, ReplayGuard, SigningKey, Stamp,
+    Timestamp, Verified, VerifyError, Window, sign_frame, verify_frame,
 };
 
 pub const KEY: [u8; 32] = *b"a key for tests, known to anyone";
@@ -49,7 +49,7 @@ pub fn signed(payload: &[u8], ticks: u64) -> Frame {
 
 /// A receiver that has accepted nothing.
 pub fn fresh() -> MavLinkState {
-    MavLinkState::new(Replay::new(LINK_ID, Window::SEED))
+    MavLinkState::new(ReplayGuard::new(LINK_ID, Window::STRICT))
 }
 
 /// What a receiver with the test's key says of `bytes` at `ticks`.
@@ -61,9 +61,9 @@ pub fn receive<'a>(
     verify_frame(FrameRef::parse(bytes)?, &key(), at(ticks), state)
 }
 
-/// Asserts that `bytes` are refused with `error` and that the receiver does not remember them.
-pub fn assert_refused(bytes: &[u8], ticks: u64, state: &MavLinkState, error: VerifyError) {
+/// Asserts that `bytes` are rejected with `error` and that the receiver does not remember them.
+pub fn assert_rejected(bytes: &[u8], ticks: u64, state: &MavLinkState, error: VerifyError) {
     let before = state.last();
-    assert_eq!(receive(bytes, ticks, state).expect_err("refused"), error);
+    assert_eq!(receive(bytes, ticks, state).expect_err("rejected"), error);
     assert_eq!(state.last(), before, "state after {error}");
 }

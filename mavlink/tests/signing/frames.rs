@@ -7,8 +7,8 @@ use crate::common::*;
 use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE, SIGNATURE_SIZE, TAG_SIZE};
 use mavlink_signing::{
     Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, MessageId, ParseError,
-    Phase, Replay, SignError, SigningKey, Stamp, Stamper, Timestamp, VerifyError, Window,
-    authenticate, dialect, sign_frame,
+    ReplayGuard, RolloverState, SignError, SigningKey, Stamp, Stamper, Timestamp, VerifyError,
+    Window, authenticate, dialect, sign_frame,
 };
 
 /// The checksum by a library that shares no code with this one.
@@ -99,14 +99,14 @@ fn verdict_on_flip(bit: usize, length: usize) -> Vec<VerifyError> {
 }
 
 #[test]
-fn every_flipped_bit_is_refused() {
+fn every_flipped_bit_is_rejected() {
     for length in 0..=255 {
         let frame = signed(&payload(length), NOW);
         for bit in 0..frame.as_bytes().len() * 8 {
             let mut bytes = frame.as_bytes().to_vec();
             bytes[bit / 8] ^= 1 << (bit % 8);
             let state = fresh();
-            let error = receive(&bytes, NOW, &state).expect_err("refused");
+            let error = receive(&bytes, NOW, &state).expect_err("rejected");
             let expected = verdict_on_flip(bit, length);
             assert!(
                 expected.contains(&error),
@@ -126,12 +126,12 @@ fn a_flip_under_a_repaired_checksum_is_a_bad_tag() {
         bytes[bit / 8] ^= 1 << (bit % 8);
         let id = MessageId::from_le_bytes([bytes[7], bytes[8], bytes[9]]);
         let Some(crc_extra) = dialect::crc_extra(id) else {
-            assert_refused(&bytes, NOW, &fresh(), VerifyError::UnknownMessage(id));
+            assert_rejected(&bytes, NOW, &fresh(), VerifyError::UnknownMessage(id));
             continue;
         };
         let repaired = checksum(&bytes[1..checksum_at], crc_extra);
         bytes[checksum_at..checksum_at + 2].copy_from_slice(&repaired);
-        assert_refused(&bytes, NOW, &fresh(), VerifyError::BadTag);
+        assert_rejected(&bytes, NOW, &fresh(), VerifyError::BadTag);
     }
 }
 
@@ -159,7 +159,7 @@ fn the_window_includes_its_edges() {
         assert_eq!(window.check(at(stamp), at(NOW)), expected);
     }
     // A clock that has run for less than the window, and one at its end.
-    assert_eq!(Window::SEED.check(Timestamp::ZERO, at(3)), Ok(()));
+    assert_eq!(Window::STRICT.check(Timestamp::ZERO, at(3)), Ok(()));
     let open = Window {
         past: 0,
         ahead: u64::MAX,
@@ -194,7 +194,7 @@ fn a_clock_of_48_bits() {
     let state = fresh();
     let last = signed(&[1], max);
     receive(last.as_bytes(), max, &state).expect("the last");
-    assert_refused(last.as_bytes(), max, &state, VerifyError::Replayed);
+    assert_rejected(last.as_bytes(), max, &state, VerifyError::Replayed);
     assert_eq!(state.last(), Some(Timestamp::MAX));
 }
 
@@ -215,14 +215,17 @@ fn stamps_increase_and_end() {
     let last = stamper.stamp(Timestamp::ZERO).expect("the last stamp");
     assert_eq!(last.timestamp, Timestamp::MAX);
     for now in [Timestamp::ZERO, Timestamp::MAX] {
-        assert_eq!(stamper.stamp(now), Err(SignError::ClockExhausted));
+        assert_eq!(stamper.stamp(now), Err(SignError::TimestampsExhausted));
     }
 }
 
 #[test]
 fn a_receiver_resumes_at_its_mark() {
-    let mut replay = Replay::resume(LINK_ID, Window::SEED, at(NOW));
-    assert_eq!((replay.link_id(), replay.window()), (LINK_ID, Window::SEED));
+    let mut replay = ReplayGuard::resume(LINK_ID, Window::STRICT, at(NOW));
+    assert_eq!(
+        (replay.link_id(), replay.window()),
+        (LINK_ID, Window::STRICT)
+    );
     assert_eq!(replay.last(), Some(at(NOW - 1)));
     for (ticks, accepted) in [(NOW - 1, false), (NOW, true), (NOW, false), (NOW + 1, true)] {
         let frame = signed(&[1], ticks);
@@ -386,7 +389,7 @@ fn errors_say_what_is_wrong() {
         SignError::UnknownMessage(id).to_string(),
         SignError::BadChecksum.to_string(),
         SignError::AlreadySigned.to_string(),
-        SignError::ClockExhausted.to_string(),
+        SignError::TimestampsExhausted.to_string(),
         VerifyError::Parse(ParseError::Truncated).to_string(),
         VerifyError::Parse(ParseError::BadMagic(0xFE)).to_string(),
         VerifyError::Parse(ParseError::UnknownIncompatFlags(3)).to_string(),
@@ -447,7 +450,7 @@ fn errors_say_what_is_wrong() {
 #[test]
 fn what_is_stored_of_a_key_does_not_show_it() {
     let changes = [
-        KeyChange::Begin(&[0xAB; KEY_SIZE], Phase::Offered),
+        KeyChange::Begin(&[0xAB; KEY_SIZE], RolloverState::Offered),
         KeyChange::Confirm,
         KeyChange::Retire,
         KeyChange::Withdraw,

@@ -44,7 +44,7 @@ fn verify_unknown_message() {
     let mut bytes = signed(PAYLOAD, NOW).as_bytes().to_vec();
     let id = header(UNKNOWN).message_id;
     bytes[7..10].copy_from_slice(&id.to_le_bytes());
-    assert_refused(&bytes, NOW, &fresh(), VerifyError::UnknownMessage(id));
+    assert_rejected(&bytes, NOW, &fresh(), VerifyError::UnknownMessage(id));
 }
 
 #[test]
@@ -60,20 +60,20 @@ fn wrong_key() {
 fn tampered_payload() {
     let mut bytes = signed(PAYLOAD, NOW).as_bytes().to_vec();
     bytes[10] ^= 0x80;
-    assert_refused(&bytes, NOW, &fresh(), VerifyError::BadChecksum);
+    assert_rejected(&bytes, NOW, &fresh(), VerifyError::BadChecksum);
 }
 
 #[test]
 fn tampered_signature() {
     let mut bytes = signed(PAYLOAD, NOW).as_bytes().to_vec();
     *bytes.last_mut().expect("a tag") ^= 1;
-    assert_refused(&bytes, NOW, &fresh(), VerifyError::BadTag);
+    assert_rejected(&bytes, NOW, &fresh(), VerifyError::BadTag);
 }
 
 #[test]
 fn unsigned_frame() {
     let frame = unsigned(0, PAYLOAD);
-    assert_refused(frame.as_bytes(), NOW, &fresh(), VerifyError::NotSigned);
+    assert_rejected(frame.as_bytes(), NOW, &fresh(), VerifyError::NotSigned);
 }
 
 #[test]
@@ -85,19 +85,19 @@ fn wrong_link() {
     };
     sign_frame(&mut frame, &key(), stamp).expect("signed");
     let error = VerifyError::WrongLink(LINK_ID + 1);
-    assert_refused(frame.as_bytes(), NOW, &fresh(), error);
+    assert_rejected(frame.as_bytes(), NOW, &fresh(), error);
 }
 
 #[test]
 fn stamped_in_the_future() {
     let frame = signed(PAYLOAD, NOW + 1);
-    assert_refused(frame.as_bytes(), NOW, &fresh(), VerifyError::FromFuture);
+    assert_rejected(frame.as_bytes(), NOW, &fresh(), VerifyError::FromFuture);
 }
 
 #[test]
 fn stamped_too_long_ago() {
     let frame = signed(PAYLOAD, NOW - 1_000_001);
-    assert_refused(frame.as_bytes(), NOW, &fresh(), VerifyError::TooOld);
+    assert_rejected(frame.as_bytes(), NOW, &fresh(), VerifyError::TooOld);
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn replayed() {
     let frame = signed(PAYLOAD, NOW);
     let state = fresh();
     receive(frame.as_bytes(), NOW, &state).expect("the first time");
-    assert_refused(frame.as_bytes(), NOW, &state, VerifyError::Replayed);
+    assert_rejected(frame.as_bytes(), NOW, &state, VerifyError::Replayed);
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn not_increasing() {
     let state = fresh();
     receive(signed(PAYLOAD, NOW).as_bytes(), NOW, &state).expect("newer");
     let earlier = signed(PAYLOAD, NOW - 1);
-    assert_refused(earlier.as_bytes(), NOW, &state, VerifyError::Replayed);
+    assert_rejected(earlier.as_bytes(), NOW, &state, VerifyError::Replayed);
     receive(signed(PAYLOAD, NOW + 1).as_bytes(), NOW + 1, &state).expect("newer still");
 }
 
@@ -130,7 +130,7 @@ fn wrong_magic() {
     let mut bytes = signed(PAYLOAD, NOW).as_bytes().to_vec();
     bytes[0] = 0xFE;
     let error = VerifyError::Parse(ParseError::BadMagic(0xFE));
-    assert_refused(&bytes, NOW, &fresh(), error);
+    assert_rejected(&bytes, NOW, &fresh(), error);
 }
 
 #[test]
@@ -139,6 +139,6 @@ fn too_short() {
     let bytes = frame.as_bytes();
     for end in 0..bytes.len() {
         let error = VerifyError::Parse(ParseError::Truncated);
-        assert_refused(&bytes[..end], NOW, &fresh(), error);
+        assert_rejected(&bytes[..end], NOW, &fresh(), error);
     }
 }

@@ -96,11 +96,11 @@ fn presets_accept_what_they_are_named_after() {
             message_id: id.into(),
         })
     };
-    assert!(!accepted(&Refuse, 109, 0));
-    assert!(accepted(&RadioStatus, 109, 0));
-    assert!(!accepted(&RadioStatus, 0, 0));
-    assert!(accepted(&TrustedPort { link_id: 2 }, 0, 2));
-    assert!(!accepted(&TrustedPort { link_id: 2 }, 109, 1));
+    assert!(!accepted(&RejectUnsigned, 109, 0));
+    assert!(accepted(&AllowRadioStatus, 109, 0));
+    assert!(!accepted(&AllowRadioStatus, 0, 0));
+    assert!(accepted(&AllowLink { link_id: 2 }, 0, 2));
+    assert!(!accepted(&AllowLink { link_id: 2 }, 109, 1));
 }
 
 fn setup() -> SetupSigning {
@@ -121,8 +121,8 @@ fn setup_signing_is_built_and_read_and_not_shown() {
     assert_eq!(read.secret_key, setup().secret_key);
     assert_eq!((read.target_system, read.target_component), (1, 0));
     assert_eq!(read.initial_timestamp, at(TICKS));
-    let refused = |payload| SetupSigning::from_payload(payload).expect_err("refused");
-    let (long, late) = (refused(&[7; 43]), refused(&[0xFF; 42]));
+    let rejected = |payload| SetupSigning::from_payload(payload).expect_err("rejected");
+    let (long, late) = (rejected(&[7; 43]), rejected(&[0xFF; 42]));
     assert_eq!(long, SetupError::TooLong(43));
     assert_eq!(late, SetupError::TimestampTooLong(u64::MAX));
     assert_eq!(

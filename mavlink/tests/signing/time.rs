@@ -1,9 +1,10 @@
 //! Clocks that are set, followed, spoofed and forgotten; the whole of a key's change.
 
 use mavlink_signing::{
-    Authenticate, Clock, FrameRef, KEY_SIZE, KeyChange, KeyChangeError, KeyError, KeyStore, Keys,
-    NotStored, Phase, RESERVATION, Replay, Source, Stamper, Sync, TICKS_PER_SECOND, Timekeeper,
-    Timestamp, Verified, VerifyError, Window, authenticate, system_time,
+    Authenticate, Clock, FrameRef, KEY_SIZE, KeyChange, KeyChangeError, KeyError, KeyRing,
+    KeyStore, LinkClock, NotStored, RESERVATION, ReplayGuard, RolloverState, Stamper, SyncState,
+    TICKS_PER_SECOND, TimeSource, Timestamp, Verified, VerifyError, Window, authenticate,
+    system_time,
 };
 
 use crate::common::{LINK_ID, NOW, at, key, signed};
@@ -15,20 +16,20 @@ const DAY: u64 = 24 * 3600 * SECOND;
 struct End {
     clock: Clock,
     timer: u64,
-    receiver: Replay,
+    receiver: ReplayGuard,
 }
 
-impl Timekeeper for End {
+impl LinkClock for End {
     fn now(&mut self) -> Timestamp {
         self.clock.now(self.timer)
     }
 
-    fn judged_at(&mut self, stamp: Timestamp) -> Timestamp {
-        self.clock.judged_at(stamp, self.timer)
+    fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
+        self.clock.reference_time(stamp, self.timer)
     }
 
-    fn heard(&mut self, frame: &Verified<'_>) {
-        self.clock.heard(frame, self.timer);
+    fn on_accepted(&mut self, frame: &Verified<'_>) {
+        self.clock.on_accepted(frame, self.timer);
     }
 }
 
@@ -39,13 +40,13 @@ impl End {
         Self {
             clock: Clock::unsynced(at(NOW - RESERVATION), timer),
             timer,
-            receiver: Replay::resume(LINK_ID, Window::LINK, at(NOW)),
+            receiver: ReplayGuard::resume(LINK_ID, Window::ONE_MINUTE, at(NOW)),
         }
     }
 
     fn synced() -> Self {
         let mut end = Self::new();
-        end.clock.tell(Source::Trusted, at(NOW), end.timer);
+        end.clock.update(TimeSource::Trusted, at(NOW), end.timer);
         end
     }
 
@@ -53,14 +54,14 @@ impl End {
         let frame = signed(&[1], ticks);
         let frame = FrameRef::parse(frame.as_bytes()).expect("whole");
         let authentic = authenticate(frame, &key()).expect("undamaged");
-        let mut receiver = Replay::resume(LINK_ID, self.receiver.window(), Timestamp::ZERO);
+        let mut receiver = ReplayGuard::resume(LINK_ID, self.receiver.window(), Timestamp::ZERO);
         std::mem::swap(&mut receiver, &mut self.receiver);
         let verdict = self.admit(&mut receiver, authentic).map(drop);
         self.receiver = receiver;
         verdict
     }
 
-    fn sync(&self) -> Sync {
+    fn sync(&self) -> SyncState {
         self.clock.sync(self.timer)
     }
 
@@ -72,13 +73,17 @@ impl End {
 #[test]
 fn a_board_from_the_shed_takes_the_time_of_the_first_frame_above_its_mark() {
     let mut end = End::new();
-    assert_eq!(end.sync(), Sync::Unsynced);
+    assert_eq!(end.sync(), SyncState::Unsynced);
     // What was accepted before the restart is below the mark, and says nothing about the time.
     assert_eq!(end.hears(NOW - 1), Err(VerifyError::Replayed));
     assert_eq!(end.ticks(), NOW - RESERVATION);
     assert_eq!(end.hears(NOW + 7 * DAY), Ok(()));
     assert_eq!(end.ticks(), NOW + 7 * DAY - RESERVATION);
-    assert_eq!(end.sync(), Sync::Unsynced, "nobody trusted has told it");
+    assert_eq!(
+        end.sync(),
+        SyncState::Unsynced,
+        "nobody trusted has told it"
+    );
 }
 
 #[test]
@@ -117,20 +122,20 @@ fn an_unsynced_clock_stays_within_a_reservation_of_what_it_hears() {
 }
 
 #[test]
-fn a_trusted_clock_refuses_the_future_and_is_not_moved_by_it() {
+fn a_trusted_clock_rejects_the_future_and_is_not_moved_by_it() {
     let mut end = End::synced();
     assert_eq!(
-        end.hears(NOW + Window::LINK.ahead + 1),
+        end.hears(NOW + Window::ONE_MINUTE.ahead + 1),
         Err(VerifyError::FromFuture)
     );
     assert_eq!(end.ticks(), NOW);
-    assert_eq!(end.hears(NOW + Window::LINK.ahead), Ok(()));
+    assert_eq!(end.hears(NOW + Window::ONE_MINUTE.ahead), Ok(()));
     assert_eq!(
         end.ticks(),
         NOW,
         "no time has passed in which it could have drifted"
     );
-    assert_eq!(end.sync(), Sync::Synced);
+    assert_eq!(end.sync(), SyncState::Synced);
 }
 
 #[test]
@@ -157,11 +162,12 @@ fn frames_in_the_window_slew_a_clock_as_far_as_a_crystal_drifts() {
 fn trusted_sources_set_a_clock_either_way() {
     let mut end = End::new();
     for told in [NOW + DAY, NOW - DAY] {
-        end.clock.tell(Source::Trusted, at(told), end.timer);
-        assert_eq!((end.sync(), end.ticks()), (Sync::Synced, told));
+        end.clock.update(TimeSource::Trusted, at(told), end.timer);
+        assert_eq!((end.sync(), end.ticks()), (SyncState::Synced, told));
     }
     // SETUP_SIGNING without a timestamp.
-    end.clock.tell(Source::Trusted, Timestamp::ZERO, end.timer);
+    end.clock
+        .update(TimeSource::Trusted, Timestamp::ZERO, end.timer);
     assert_eq!(end.ticks(), NOW - DAY);
 }
 
@@ -170,18 +176,23 @@ fn a_spoofed_receiver_moves_a_clock_by_little_and_never_back() {
     for mut end in [End::new(), End::synced()] {
         let (sync, start) = (end.sync(), end.ticks());
         assert_eq!(
-            end.clock.tell(Source::Bounded, Timestamp::ZERO, end.timer),
+            end.clock
+                .update(TimeSource::Bounded, Timestamp::ZERO, end.timer),
             0
         );
         assert_eq!(end.ticks(), start);
         let moved: u64 = (0..1000)
-            .map(|_| end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer))
+            .map(|_| {
+                end.clock
+                    .update(TimeSource::Bounded, Timestamp::MAX, end.timer)
+            })
             .sum();
         assert_eq!((moved, end.ticks()), (SECOND, start + SECOND));
         assert_eq!(end.sync(), sync, "and does not sync it");
         end.timer += 3600 * SECOND;
         assert_eq!(
-            end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer),
+            end.clock
+                .update(TimeSource::Bounded, Timestamp::MAX, end.timer),
             0
         );
         assert_eq!(end.ticks(), start + 3601 * SECOND);
@@ -193,10 +204,10 @@ fn a_clock_is_believed_for_its_holdover() {
     let mut end = End::synced();
     assert_eq!(end.clock.holdover() / SECOND, 30_720);
     end.timer += end.clock.holdover();
-    assert_eq!(end.sync(), Sync::Synced);
+    assert_eq!(end.sync(), SyncState::Synced);
     assert_eq!(end.hears(NOW + 2 * DAY), Err(VerifyError::FromFuture));
     end.timer += 1;
-    assert_eq!(end.sync(), Sync::Unsynced);
+    assert_eq!(end.sync(), SyncState::Unsynced);
     assert_eq!(end.hears(NOW + 2 * DAY), Ok(()));
     assert_eq!(end.ticks(), NOW + 2 * DAY - RESERVATION);
 
@@ -206,16 +217,16 @@ fn a_clock_is_believed_for_its_holdover() {
     assert_eq!(end.clock.holdover() / SECOND, 480);
     end.timer += 450 * SECOND;
     assert_eq!(end.hears(NOW + 450 * SECOND), Ok(()));
-    assert_eq!(end.sync(), Sync::Synced);
+    assert_eq!(end.sync(), SyncState::Synced);
     end.timer += 450 * SECOND;
-    assert_eq!(end.sync(), Sync::Unsynced);
+    assert_eq!(end.sync(), SyncState::Unsynced);
 }
 
 #[test]
 fn a_frame_takes_an_unsynced_clock_so_far_and_no_further() {
     let mut end = End::new();
     let now = end.ticks();
-    let most = now + Clock::LEAP + Window::LINK.ahead;
+    let most = now + Clock::MAX_STEP + Window::ONE_MINUTE.ahead;
     assert_eq!(end.hears(most + 1), Err(VerifyError::FromFuture));
     assert_eq!(end.ticks(), now);
     assert_eq!(end.hears(most), Ok(()));
@@ -223,12 +234,15 @@ fn a_frame_takes_an_unsynced_clock_so_far_and_no_further() {
 
     // A clock that was never told the time, nor heard it, has nothing to count from.
     let mut end = End::new();
-    for begun in [0, Clock::LEAP - 1] {
+    for begun in [0, Clock::MAX_STEP - 1] {
         end.clock = Clock::unsynced(at(begun), end.timer);
-        assert_eq!(end.clock.judged_at(at(NOW), end.timer), at(NOW));
+        assert_eq!(end.clock.reference_time(at(NOW), end.timer), at(NOW));
     }
-    end.clock = Clock::unsynced(at(Clock::LEAP), end.timer);
-    assert_eq!(end.clock.judged_at(at(NOW), end.timer), at(2 * Clock::LEAP));
+    end.clock = Clock::unsynced(at(Clock::MAX_STEP), end.timer);
+    assert_eq!(
+        end.clock.reference_time(at(NOW), end.timer),
+        at(2 * Clock::MAX_STEP)
+    );
 }
 
 #[test]
@@ -237,12 +251,17 @@ fn frames_give_a_spoofed_receiver_no_new_steps() {
     for minute in 0..10 {
         let stamp = NOW + minute * 60 * SECOND;
         assert_eq!(end.hears(stamp), Ok(()));
-        end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer);
+        end.clock
+            .update(TimeSource::Bounded, Timestamp::MAX, end.timer);
         assert!(end.ticks() <= stamp + SECOND + RESERVATION);
-        let moved = end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer);
+        let moved = end
+            .clock
+            .update(TimeSource::Bounded, Timestamp::MAX, end.timer);
         assert_eq!(moved, 0);
     }
-    let moved = end.clock.tell(Source::Bounded, Timestamp::MAX, end.timer);
+    let moved = end
+        .clock
+        .update(TimeSource::Bounded, Timestamp::MAX, end.timer);
     assert_eq!(moved, 0);
 }
 
@@ -310,7 +329,7 @@ impl KeyStore for Slots {
 }
 
 /// Which of the keys [1; 32] to [9; 32] signs, and which are accepted.
-fn used(keys: &Keys<mavlink_signing::Hmac>) -> (Vec<u8>, Vec<u8>) {
+fn used(keys: &KeyRing<mavlink_signing::Hmac>) -> (Vec<u8>, Vec<u8>) {
     use mavlink_signing::{Hmac, SigningKey, Stamp, sign_frame};
     let key = |number: u8| SigningKey::<Hmac>::new(&[number; KEY_SIZE]).expect("a key");
     let frame = |key: &SigningKey<Hmac>| {
@@ -333,7 +352,7 @@ fn used(keys: &Keys<mavlink_signing::Hmac>) -> (Vec<u8>, Vec<u8>) {
     (signs.collect(), accepts.collect())
 }
 
-fn keys(number: u8) -> Keys<mavlink_signing::Hmac> {
+fn keys(number: u8) -> KeyRing<mavlink_signing::Hmac> {
     mavlink_signing::SigningKey::new(&[number; KEY_SIZE])
         .expect("a key")
         .into()
@@ -375,10 +394,10 @@ fn two_ends_that_both_offer_a_key_do_not_wait_for_each_other() {
     store.broken = true;
     let not_stored = theirs.apply(&[2; KEY_SIZE], &mut store);
     assert_eq!(not_stored, Err(KeyChangeError::NotStored));
-    assert_eq!(theirs.phase(), Phase::Offered);
+    assert_eq!(theirs.rollover_state(), RolloverState::Offered);
     store.broken = false;
     theirs.apply(&[2; KEY_SIZE], &mut store).expect("applied");
-    assert_eq!(theirs.phase(), Phase::Applied);
+    assert_eq!(theirs.rollover_state(), RolloverState::Applied);
     assert_eq!(used(&theirs), (vec![2], vec![1, 2]));
     assert_eq!(store.changes, 3);
 }
@@ -397,18 +416,18 @@ fn a_confirmed_key_is_not_confirmed_again() {
     for heard in [true, false] {
         let frame = FrameRef::parse(new.as_bytes()).expect("whole");
         let authentic = keys.authenticate(frame).expect("signed with it");
-        let mut receiver = Replay::new(LINK_ID, Window::LINK);
+        let mut receiver = ReplayGuard::new(LINK_ID, Window::ONE_MINUTE);
         let verified = receiver.admit(authentic, at(NOW)).expect("new");
-        keys.heard(&verified);
-        assert_eq!(keys.is_heard(), heard);
+        keys.on_accepted(&verified);
+        assert_eq!(keys.confirm_pending(), heard);
         keys.confirm(&mut store).expect("stored");
-        assert_eq!(keys.phase(), Phase::Confirmed);
+        assert_eq!(keys.rollover_state(), RolloverState::Confirmed);
     }
     assert_eq!(store.changes, 2);
 }
 
 #[test]
-fn a_refused_key_changes_nothing() {
+fn a_rejected_key_changes_nothing() {
     let mut store = Slots {
         broken: false,
         changes: 0,
@@ -423,7 +442,7 @@ fn a_refused_key_changes_nothing() {
     assert_eq!(keys.offer(&[2; KEY_SIZE], &mut store), not_stored);
     assert_eq!(keys.apply(&[2; KEY_SIZE], &mut store), not_stored);
     assert_eq!(used(&keys), (vec![1], vec![1]));
-    assert_eq!(keys.phase(), Phase::Settled);
+    assert_eq!(keys.rollover_state(), RolloverState::Settled);
 
     store.broken = false;
     keys.offer(&[2; KEY_SIZE], &mut store).expect("offered");
@@ -448,5 +467,5 @@ fn the_old_key_again_takes_back_a_key_that_was_never_heard() {
     assert_eq!(used(&keys), (vec![2], vec![1, 2]));
     keys.apply(&[1; KEY_SIZE], &mut store).expect("taken back");
     assert_eq!(used(&keys), (vec![1], vec![1]));
-    assert_eq!(format!("{keys:?}"), "Keys { phase: Settled, .. }");
+    assert_eq!(format!("{keys:?}"), "KeyRing { phase: Settled, .. }");
 }

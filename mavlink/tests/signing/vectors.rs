@@ -1,4 +1,4 @@
-//! Frames that others signed: every one is authentic, made here the same, and refused when changed.
+//! Frames that others signed: every one is authentic, made here the same, and rejected when changed.
 //!
 //! `cargo xtask interop --vectors` writes the files, each named by its source.
 
@@ -66,7 +66,7 @@ fn frames_of_others_are_authentic_and_made_the_same() {
 }
 
 #[test]
-fn frames_of_others_with_one_bit_changed_are_refused() {
+fn frames_of_others_with_one_bit_changed_are_rejected() {
     let (files, key) = vectors();
     for Vector { name, frame } in files.iter().flatten() {
         let mut changed = frame.clone();
@@ -83,7 +83,7 @@ fn frames_of_others_with_one_bit_changed_are_refused() {
 fn frames_of_others_are_admitted_once() {
     let (files, key) = vectors();
     for vectors in files {
-        let mut streams = Streams::<1>::new(Links::Any, Window::SEED);
+        let mut streams = StreamTable::<1>::new(Links::Any, Window::STRICT);
         for Vector { name, frame } in &vectors {
             let mut admit = || {
                 let authentic = authenticate(FrameRef::parse(frame)?, &key)?;

@@ -15,7 +15,7 @@ use crate::event::Direction;
 #[derive(Clone, Copy, Debug, Display, IntoStaticStr, VariantArray, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum Refusal {
+pub enum RejectReason {
     /// A packet with unknown incompatibility flags.
     #[strum(serialize = "unknown flags")]
     UnknownIncompatFlags,
@@ -45,10 +45,10 @@ pub enum Refusal {
     LongFrame,
     /// A frame that ends in an escape.
     #[strum(serialize = "cut escape")]
-    CutEscape,
+    TruncatedEscape,
     /// A frame with an unknown tag.
     #[strum(serialize = "unknown tag")]
-    UnknownTag,
+    UnknownKind,
     /// Air data that is no package.
     #[strum(serialize = "wrong length")]
     WrongLength,
@@ -63,7 +63,7 @@ pub enum Refusal {
     Stale,
     /// A package of a sender for whose key too many packages with a wrong tag have come.
     #[strum(serialize = "key worn out")]
-    KeyWornOut,
+    IntegrityLimitReached,
     /// A package sealed with another key, damaged, or forged.
     #[strum(serialize = "bad tag")]
     BadTag,
@@ -81,8 +81,8 @@ pub enum Refusal {
     Other,
 }
 
-impl Refusal {
-    /// Every reason, in the order of [`Refusal`]'s definition.
+impl RejectReason {
+    /// Every reason, in the order of [`RejectReason`]'s definition.
     pub const ALL: &[Self] = Self::VARIANTS;
 
     /// The reason in a few words, as in tables.
@@ -92,7 +92,7 @@ impl Refusal {
     }
 }
 
-impl From<DecodeError> for Refusal {
+impl From<DecodeError> for RejectReason {
     fn from(error: DecodeError) -> Self {
         match error {
             DecodeError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
@@ -103,7 +103,7 @@ impl From<DecodeError> for Refusal {
     }
 }
 
-impl From<PackError> for Refusal {
+impl From<PackError> for RejectReason {
     fn from(error: PackError) -> Self {
         match error {
             PackError::TooLong(_) => Self::TooLong,
@@ -112,7 +112,7 @@ impl From<PackError> for Refusal {
     }
 }
 
-impl From<SealError> for Refusal {
+impl From<SealError> for RejectReason {
     fn from(error: SealError) -> Self {
         match error {
             SealError::CounterExhausted => Self::CounterExhausted,
@@ -122,45 +122,45 @@ impl From<SealError> for Refusal {
     }
 }
 
-impl From<ReserveError> for Refusal {
+impl From<ReserveError> for RejectReason {
     fn from(_: ReserveError) -> Self {
         Self::NotStored
     }
 }
 
-impl From<FrameDecodeError> for Refusal {
+impl From<FrameDecodeError> for RejectReason {
     fn from(error: FrameDecodeError) -> Self {
         match error {
             FrameDecodeError::Empty => Self::EmptyFrame,
             FrameDecodeError::TooLong => Self::LongFrame,
-            FrameDecodeError::CutEscape => Self::CutEscape,
-            FrameDecodeError::UnknownTag(_) => Self::UnknownTag,
+            FrameDecodeError::TruncatedEscape => Self::TruncatedEscape,
+            FrameDecodeError::UnknownKind(_) => Self::UnknownKind,
             _ => Self::Other,
         }
     }
 }
 
-impl From<OpenError> for Refusal {
+impl From<OpenError> for RejectReason {
     fn from(error: OpenError) -> Self {
         match error {
             OpenError::WrongLength(_) => Self::WrongLength,
             OpenError::UnknownSender(_) => Self::UnknownSender,
             OpenError::NoCounter(_) => Self::NoCounter,
             OpenError::Stale { .. } => Self::Stale,
-            OpenError::KeyWornOut => Self::KeyWornOut,
+            OpenError::IntegrityLimitReached => Self::IntegrityLimitReached,
             OpenError::BadTag => Self::BadTag,
             _ => Self::Other,
         }
     }
 }
 
-impl From<UnpackError> for Refusal {
+impl From<UnpackError> for RejectReason {
     fn from(_: UnpackError) -> Self {
         Self::NoPacket
     }
 }
 
-impl From<RadioError> for Refusal {
+impl From<RadioError> for RejectReason {
     fn from(_: RadioError) -> Self {
         Self::NoStatus
     }
@@ -170,26 +170,26 @@ impl From<RadioError> for Refusal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
-    /// A packet of the plain side waits to be sealed, with others or alone.
+    /// A packet of the local side waits to be sealed, with others or alone.
     Packed,
     /// A package goes out, under this counter.
     Sealed(u32),
-    /// A package was opened, and its packets go on to the plain side.
+    /// A package was opened, and its packets go on to the local side.
     Opened(SenderId),
     /// The radio has answered.
     Radio(Status),
     /// Something goes no further.
-    Refused(Direction, Refusal),
+    Rejected(Direction, RejectReason),
 }
 
 /// How often each thing happened in one direction. Every count stays at the top of its range.
 ///
-/// Anybody who can send can raise the counts of refusals: show them, do not act on them.
+/// Anybody who can send can raise the counts of rejections: show them, do not act on them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     packages: u32,
     packets: u32,
-    refused: [u32; Refusal::ALL.len()],
+    rejected: [u32; RejectReason::ALL.len()],
     dropped: u32,
 }
 
@@ -200,28 +200,28 @@ impl Counters {
         self.packages
     }
 
-    /// Packets that were packed, or handed on to the plain side.
+    /// Packets that were packed, or handed on to the local side.
     #[must_use]
     pub const fn packets(&self) -> u32 {
         self.packets
     }
 
-    /// Bytes of the plain side that belonged to no packet: noise, and packets that were damaged, cut short
+    /// Bytes of the local side that belonged to no packet: noise, and packets that were damaged, cut short
     /// or unknown. Always 0 from the radio, where what is between frames is not counted.
     #[must_use]
     pub const fn dropped(&self) -> u32 {
         self.dropped
     }
 
-    /// What was refused for `reason`.
+    /// What was rejected for `reason`.
     #[must_use]
-    pub fn refused(&self, reason: Refusal) -> u32 {
-        self.refused.get(reason as usize).copied().unwrap_or(0)
+    pub fn rejected(&self, reason: RejectReason) -> u32 {
+        self.rejected.get(reason as usize).copied().unwrap_or(0)
     }
 
     /// Every reason and how often it was given.
-    pub fn refusals(&self) -> impl Iterator<Item = (Refusal, u32)> {
-        Refusal::ALL.iter().copied().zip(self.refused)
+    pub fn rejections(&self) -> impl Iterator<Item = (RejectReason, u32)> {
+        RejectReason::ALL.iter().copied().zip(self.rejected)
     }
 
     pub(crate) const fn count_package(&mut self) {
@@ -236,8 +236,8 @@ impl Counters {
         self.dropped = dropped;
     }
 
-    pub(crate) fn count_refused(&mut self, reason: Refusal) {
-        if let Some(count) = self.refused.get_mut(reason as usize) {
+    pub(crate) fn count_rejected(&mut self, reason: RejectReason) {
+        if let Some(count) = self.rejected.get_mut(reason as usize) {
             *count = count.saturating_add(1);
         }
     }

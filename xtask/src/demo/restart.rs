@@ -5,7 +5,7 @@ use std::{path::Path, time::Instant};
 use anyhow::{Context, Result, bail, ensure};
 
 use super::{
-    Act, BEHIND, Came, Demo, Direction, EACH, LINK_IN, LINK_OUT, PATIENCE, TICKS_PER_SECOND,
+    Act, BEHIND, Came, Demo, Direction, EACH, LINK_IN, LINK_OUT, MAX_DELAY, TICKS_PER_SECOND,
     exchange, print_log, table, ticks_in, ticks_now,
     wire::{self, Frame},
 };
@@ -37,7 +37,7 @@ pub(super) fn run(elf: &Path) -> Result<()> {
     play.end_of_run()?;
 
     play.reset()?;
-    play.refuses_recorded()?;
+    play.rejects_recorded()?;
     play.signs("telemetry", &old)?;
     play.is_back(&old)?;
     play.hears("new frames", &old)?;
@@ -56,19 +56,19 @@ pub(super) fn run(elf: &Path) -> Result<()> {
     play.end_of_run()?;
 
     play.reset()?;
-    play.refuses_recorded()?;
+    play.rejects_recorded()?;
     play.is_back(&old)?;
     play.hears("with the new key", &new)?;
     play.hears("with the old key", &old)?;
     // The key in use once more: the old one goes.
     play.setup(&new)?;
     play.said("[INFO ] Old key retired: done");
-    play.refuses("with the old key", &old, "bad tag")?;
+    play.rejects("with the old key", &old, "bad tag")?;
     play.hears("with the new key", &new)?;
     play.end_of_run()?;
 
     play.reset()?;
-    play.refuses("with the old key", &old, "bad tag")?;
+    play.rejects("with the old key", &old, "bad tag")?;
     play.signs("with the new key", &new)?;
     play.is_back(&new)?;
     play.hears("with the new key", &new)?;
@@ -89,8 +89,8 @@ struct Play {
     reset_at: Instant,
     /// Seconds from a reset until the peer was heard.
     back_after: Vec<f32>,
-    plain: Vec<Act>,
-    secure: Vec<Act>,
+    local: Vec<Act>,
+    link: Vec<Act>,
     /// Lines that the relay must have logged in this run.
     expected: Vec<&'static str>,
     /// All acts, with the run before each.
@@ -99,7 +99,7 @@ struct Play {
 
 impl Play {
     fn begin(elf: &Path) -> Result<Self> {
-        // Without a byte that begins another packet, so that each is refused once.
+        // Without a byte that begins another packet, so that each is rejected once.
         let mut telemetry = wire::telemetry()?;
         telemetry.retain(|frame| !frame[1..].iter().any(|byte| [0xFD, 0xFE].contains(byte)));
         telemetry.truncate(SIGNED);
@@ -112,8 +112,8 @@ impl Play {
             runs: 1,
             reset_at: Instant::now(),
             back_after: Vec::new(),
-            plain: Vec::new(),
-            secure: Vec::new(),
+            local: Vec::new(),
+            link: Vec::new(),
             expected: Vec::new(),
             all: [Vec::new(), Vec::new()],
         })
@@ -122,15 +122,15 @@ impl Play {
     /// Resets the machine while a frame is on its way in on each side, and waits until the relay runs again.
     fn reset(&mut self) -> Result<()> {
         let half = |frame: &Frame| frame[..frame.len() / 2].to_vec();
-        let into_plain = half(&self.telemetry[0]);
-        let into_secure = half(&self.recorded[0]);
-        self.send_to_plain_side(into_plain, 0)?;
-        self.send_to_secure_side(into_secure, 0)?;
+        let into_local = half(&self.telemetry[0]);
+        let into_link = half(&self.recorded[0]);
+        self.send_to_local_side(into_local, 0)?;
+        self.send_to_link_side(into_link, 0)?;
         self.demo.machine.reset()?;
         self.reset_at = Instant::now();
         self.runs += 1;
         loop {
-            let line = self.demo.log.recv_timeout(PATIENCE);
+            let line = self.demo.log.recv_timeout(MAX_DELAY);
             let line = line.context("the firmware does not start again")?;
             let started = line.contains("In-line signer");
             self.demo.lines.push(line);
@@ -140,22 +140,12 @@ impl Play {
         }
     }
 
-    fn send_to_plain_side(&mut self, stream: Vec<u8>, expected: usize) -> Result<Came> {
-        exchange(
-            &mut self.demo.plain,
-            &mut self.demo.secure,
-            stream,
-            expected,
-        )
+    fn send_to_local_side(&mut self, stream: Vec<u8>, expected: usize) -> Result<Came> {
+        exchange(&mut self.demo.local, &mut self.demo.link, stream, expected)
     }
 
-    fn send_to_secure_side(&mut self, stream: Vec<u8>, expected: usize) -> Result<Came> {
-        exchange(
-            &mut self.demo.secure,
-            &mut self.demo.plain,
-            stream,
-            expected,
-        )
+    fn send_to_link_side(&mut self, stream: Vec<u8>, expected: usize) -> Result<Came> {
+        exchange(&mut self.demo.link, &mut self.demo.local, stream, expected)
     }
 
     fn fail(&mut self, failure: String) {
@@ -164,9 +154,9 @@ impl Play {
             .push(format!("run {}: {failure}", self.runs));
     }
 
-    /// Frames from the plain side are signed with `key`, each stamp greater than all before any restart.
+    /// Frames from the local side are signed with `key`, each stamp greater than all before any restart.
     fn signs(&mut self, name: &'static str, key: &[u8]) -> Result<()> {
-        let came = self.send_to_plain_side(self.telemetry.concat(), self.telemetry.len())?;
+        let came = self.send_to_local_side(self.telemetry.concat(), self.telemetry.len())?;
         for (at, frame) in came.frames.iter().enumerate() {
             let ticks = wire::ticks(frame);
             if ticks <= self.last {
@@ -185,7 +175,7 @@ impl Play {
         if let Some(failure) = came.failure {
             self.fail(failure);
         }
-        self.plain
+        self.local
             .push(passed(name, self.telemetry.len(), came.frames.len()));
         Ok(())
     }
@@ -203,39 +193,39 @@ impl Play {
     /// New frames of the peer, with `key`, come through.
     fn hears(&mut self, name: &'static str, key: &[u8]) -> Result<()> {
         let frames = self.peer_frames(EACH, key);
-        let came = self.send_to_secure_side(frames.concat(), EACH)?;
+        let came = self.send_to_link_side(frames.concat(), EACH)?;
         if came.frames != self.telemetry[..EACH] {
             self.fail(format!("{name}: other frames came than the peer sent"));
         }
-        self.secure.push(passed(name, EACH, came.frames.len()));
+        self.link.push(passed(name, EACH, came.frames.len()));
         self.recorded.extend(frames);
         Ok(())
     }
 
     /// These frames must not come through.
-    fn refuses_all(
+    fn rejects_all(
         &mut self,
         name: &'static str,
         frames: &[Frame],
         why: &'static str,
     ) -> Result<()> {
-        let came = self.send_to_secure_side(frames.concat(), 0)?;
+        let came = self.send_to_link_side(frames.concat(), 0)?;
         if !came.frames.is_empty() {
             self.fail(format!("{name}: {} came through", came.frames.len()));
         }
-        self.secure.push(refused(name, frames.len(), why));
+        self.link.push(rejected(name, frames.len(), why));
         Ok(())
     }
 
     /// New frames with `key`, which is not one of the link's any more.
-    fn refuses(&mut self, name: &'static str, key: &[u8], why: &'static str) -> Result<()> {
+    fn rejects(&mut self, name: &'static str, key: &[u8], why: &'static str) -> Result<()> {
         let frames = self.peer_frames(EACH, key);
-        self.refuses_all(name, &frames, why)
+        self.rejects_all(name, &frames, why)
     }
 
     /// Everything of the peer that was ever accepted. What is near the window's edge is left out, as it may
     /// leave the window on its way.
-    fn refuses_recorded(&mut self) -> Result<()> {
+    fn rejects_recorded(&mut self) -> Result<()> {
         let now = ticks_now();
         let seconds = |frame: &Frame| now.saturating_sub(wire::ticks(frame)) / TICKS_PER_SECOND;
         let mut old = self.recorded.clone();
@@ -243,9 +233,9 @@ impl Play {
         let mut young = self.recorded.clone();
         young.retain(|frame| seconds(frame) < WINDOW / 2);
         if !old.is_empty() {
-            self.refuses_all("accepted over a minute ago, again", &old, "too old")?;
+            self.rejects_all("accepted over a minute ago, again", &old, "too old")?;
         }
-        self.refuses_all("accepted before, again", &young, "replayed")
+        self.rejects_all("accepted before, again", &young, "replayed")
     }
 
     /// Frames of the peer, one at a time, until one comes through, which must be soon enough.
@@ -256,7 +246,7 @@ impl Play {
         let mut sent = Vec::new();
         loop {
             let frame = self.peer_frames(1, key);
-            let came = self.send_to_secure_side(frame.concat(), 0)?;
+            let came = self.send_to_link_side(frame.concat(), 0)?;
             let seconds = self.reset_at.elapsed().as_secs_f32();
             sent.extend(frame);
             let above = came.frames.len();
@@ -274,15 +264,15 @@ impl Play {
             let Some(deaf) = sent.len().checked_sub(above) else {
                 bail!("{above} frames came of {} that were sent", sent.len());
             };
-            self.secure
-                .push(refused("new, below the mark", deaf, "replayed"));
-            self.secure.push(passed("above it", above, above));
+            self.link
+                .push(rejected("new, below the mark", deaf, "replayed"));
+            self.link.push(passed("above it", above, above));
             self.recorded.extend(sent.split_off(deaf));
             return Ok(());
         }
     }
 
-    /// SETUP_SIGNING with `key`, on the plain port; it goes no further.
+    /// SETUP_SIGNING with `key`, on the local port; it goes no further.
     fn setup(&mut self, key: &[u8]) -> Result<()> {
         let mut frame = vec![0xFD, SETUP_SIZE, 0, 0, 0, 255, 190];
         frame.extend(&u32::from(SETUP_SIGNING).to_le_bytes()[..3]);
@@ -291,12 +281,12 @@ impl Play {
         frame.extend(key);
         frame.extend([0; 2]);
         wire::repair(&mut frame);
-        let came = self.send_to_plain_side(frame, 0)?;
+        let came = self.send_to_local_side(frame, 0)?;
         if !came.frames.is_empty() {
             self.fail("SETUP_SIGNING went on to the radio".into());
         }
-        self.plain
-            .push(refused("SETUP_SIGNING", 1, "SETUP_SIGNING"));
+        self.local
+            .push(rejected("SETUP_SIGNING", 1, "SETUP_SIGNING"));
         self.said("[INFO ] SETUP_SIGNING: done");
         Ok(())
     }
@@ -308,20 +298,23 @@ impl Play {
     /// Compares the log of this run, and its counters, with what was seen at the ports.
     fn end_of_run(&mut self) -> Result<()> {
         let acts = [
-            std::mem::take(&mut self.plain),
-            std::mem::take(&mut self.secure),
+            std::mem::take(&mut self.local),
+            std::mem::take(&mut self.link),
         ];
-        let directions = [Direction::PlainToSecure, Direction::SecureToPlain];
+        let directions = [Direction::Outbound, Direction::Inbound];
         let counted = [0, 1].map(|at| {
             let sum = |count: fn(&Act) -> usize| acts[at].iter().map(count).sum::<usize>();
             let passed = sum(|act| act.passed);
-            let refused = sum(|act| act.refused);
-            format!("{}{passed}, refused: {refused}, ", directions[at].summary())
+            let rejected = sum(|act| act.rejected);
+            format!(
+                "{}{passed}, rejected: {rejected}, ",
+                directions[at].summary()
+            )
         });
         let mut found = [false; 2];
         let mut lines = Vec::new();
         while found != [true; 2] {
-            let Ok(line) = self.demo.log.recv_timeout(PATIENCE) else {
+            let Ok(line) = self.demo.log.recv_timeout(MAX_DELAY) else {
                 self.fail(format!("the firmware did not count {counted:?}"));
                 break;
             };
@@ -331,14 +324,14 @@ impl Play {
             lines.push(line);
         }
         for (acts, direction) in acts.iter().zip(directions) {
-            let said = lines.iter().filter_map(|line| direction.refusals(line));
+            let said = lines.iter().filter_map(|line| direction.rejections(line));
             let said: Vec<String> = said.flat_map(|(why, times)| vec![why; times]).collect();
             let expected: Vec<&str> = acts
                 .iter()
-                .flat_map(|act| vec![act.refusal.unwrap_or_default(); act.refused])
+                .flat_map(|act| vec![act.rejection.unwrap_or_default(); act.rejected])
                 .collect();
             if said != expected {
-                self.fail(format!("{direction:?}: refused because {said:?}"));
+                self.fail(format!("{direction:?}: rejected because {said:?}"));
             }
         }
         for expected in std::mem::take(&mut self.expected) {
@@ -357,9 +350,9 @@ impl Play {
         self.demo.machine.stop()?;
         println!("The firmware's log, in {} runs:", self.runs);
         print_log(&self.demo.lines);
-        let [plain, secure] = &self.all;
-        println!("\nInto the plain side:\n{}", table("signed", plain));
-        println!("\nInto the secure side:\n{}", table("verified", secure));
+        let [local, link] = &self.all;
+        println!("\nInto the local side:\n{}", table("signed", local));
+        println!("\nInto the link side:\n{}", table("verified", link));
         let seconds: Vec<String> = self
             .back_after
             .iter()
@@ -383,18 +376,18 @@ fn passed(name: &'static str, frames: usize, passed: usize) -> Act {
     Act {
         name,
         frames,
-        refusal: None,
+        rejection: None,
         passed,
-        refused: frames - passed.min(frames),
+        rejected: frames - passed.min(frames),
     }
 }
 
-fn refused(name: &'static str, frames: usize, why: &'static str) -> Act {
+fn rejected(name: &'static str, frames: usize, why: &'static str) -> Act {
     Act {
         name,
         frames,
-        refusal: Some(why),
+        rejection: Some(why),
         passed: 0,
-        refused: frames,
+        rejected: frames,
     }
 }

@@ -11,7 +11,7 @@ use std::{
 };
 
 use anyhow::{Result, ensure};
-use mavlink_commsec::{Key, Opener, Sealer, SenderId, hx};
+use mavlink_commsec::{Opener, Sealer, SealingKey, SenderId, hx};
 use mavseal_chips_host::{Chip, Image};
 use mavseal_keys::KeyFile;
 
@@ -24,7 +24,7 @@ use vehicle::{Counted, STATUS, Vehicle, frame_of};
 /// Commands of each station before the restart, and again after it.
 const COMMANDS: usize = 100;
 /// Most bytes of a packet that fits into a package.
-const MESSAGE_SIZE: usize = 80;
+const PLAINTEXT_SIZE: usize = 80;
 /// How far the firmware's marks are ahead at most: `relay/src/sealed.rs`.
 const SENT_RESERVATION: u32 = 256;
 const ACCEPTED_RESERVATION: u32 = 8;
@@ -33,7 +33,7 @@ const ACCEPTED_RESERVATION: u32 = 8;
 const CRC_EXTRA: u8 = 238;
 /// The columns of what goes through the air.
 const AIR: [&str; 6] = [
-    "packages", "lost", "doubled", "arrived", "accepted", "refused",
+    "packages", "lost", "doubled", "arrived", "accepted", "rejected",
 ];
 
 /// Runs the demonstration.
@@ -113,7 +113,7 @@ struct Demo {
     /// How many of them before the last start
     accepted_before: usize,
     from_vehicle: Vec<Sealed>,
-    plain: Vec<Row<3>>,
+    local: Vec<Row<3>>,
     up: Vec<Row<6>>,
     down: Vec<Row<6>>,
     /// VEHICLE_RADIO since the start, and before it
@@ -148,7 +148,7 @@ impl Demo {
             accepted: Vec::new(),
             accepted_before: 0,
             from_vehicle: Vec::new(),
-            plain: Vec::new(),
+            local: Vec::new(),
             up: Vec::new(),
             down: Vec::new(),
             radio_told: 0,
@@ -202,7 +202,7 @@ impl Demo {
                 Err("stale")
             };
             deliveries.push(Delivery {
-                frame: frame_of(hx::Tag::AirData, &sealed.package)?,
+                frame: frame_of(hx::FrameKind::AirData, &sealed.package)?,
                 row: first_row + at,
                 expected,
             });
@@ -253,9 +253,10 @@ impl Demo {
             package
         });
         let strange = |id, key: [u8; 16]| -> Result<Vec<Vec<u8>>> {
-            let mut sealer: Sealer = Sealer::resume(Key::new(&key, 0)?, SenderId(id), 1 << 30);
+            let mut sealer: Sealer =
+                Sealer::resume(SealingKey::new(&key, 0)?, SenderId(id), 1 << 30);
             (0..EACH)
-                .map(|_| Ok(sealer.seal(&[0; MESSAGE_SIZE])?.as_bytes().to_vec()))
+                .map(|_| Ok(sealer.seal(&[0; PLAINTEXT_SIZE])?.as_bytes().to_vec()))
                 .collect()
         };
         let raised: Vec<Vec<u8>> = raised.collect();
@@ -287,8 +288,8 @@ impl Demo {
             );
             let frames = packages
                 .iter()
-                .map(|package| frame_of(hx::Tag::AirData, package));
-            self.refused(
+                .map(|package| frame_of(hx::FrameKind::AirData, package));
+            self.rejected(
                 name,
                 because,
                 frames.collect::<Result<_>>()?,
@@ -296,15 +297,11 @@ impl Demo {
             );
         }
         let frames: [(&str, &'static str, Vec<u8>); 4] = [
-            (
-                "empty frames",
-                "empty frame",
-                vec![hx::BOUNDARY, 0, hx::BOUNDARY],
-            ),
+            ("empty frames", "empty frame", vec![hx::FLAG, 0, hx::FLAG]),
             (
                 "frames of an unknown kind",
                 "unknown tag",
-                vec![hx::BOUNDARY, 7, 1, hx::BOUNDARY],
+                vec![hx::FLAG, 7, 1, hx::FLAG],
             ),
             (
                 "frames that are too long",
@@ -314,11 +311,11 @@ impl Demo {
             (
                 "radio status, not asked for",
                 "not asked",
-                frame_of(hx::Tag::Radio, &STATUS.to_wire())?,
+                frame_of(hx::FrameKind::Radio, &STATUS.to_wire())?,
             ),
         ];
         for (name, because, frame) in frames {
-            self.refused(name, because, vec![frame; EACH], &mut deliveries);
+            self.rejected(name, because, vec![frame; EACH], &mut deliveries);
         }
         self.exchange(&[], deliveries, "")?;
 
@@ -346,14 +343,14 @@ impl Demo {
             ("station 1: another key", other_key, "bad tag"),
             ("station 1: its own, reflected", own, "unknown sender"),
         ] {
-            let row = station.refuse(name, &packages, because, &mut self.failures);
+            let row = station.reject(name, &packages, because, &mut self.failures);
             self.down.push(row);
         }
         Ok(())
     }
 
-    /// Adds a row of what must be refused for one reason.
-    fn refused(
+    /// Adds a row of what must be rejected for one reason.
+    fn rejected(
         &mut self,
         name: &str,
         because: &'static str,
@@ -376,15 +373,17 @@ impl Demo {
 
     /// Sends both ways at once and judges what came of it.
     fn exchange(&mut self, telemetry: &[Frame], up: Vec<Delivery>, when: &str) -> Result<()> {
-        let long = telemetry.iter().filter(|frame| frame.len() > MESSAGE_SIZE);
+        let long = telemetry
+            .iter()
+            .filter(|frame| frame.len() > PLAINTEXT_SIZE);
         let long = long.count();
         let short: Vec<&Frame> = telemetry
             .iter()
-            .filter(|frame| frame.len() <= MESSAGE_SIZE)
+            .filter(|frame| frame.len() <= PLAINTEXT_SIZE)
             .collect();
         let vehicle = &mut self.vehicle;
         let (packages_before, handed_before) = (vehicle.packages.len(), vehicle.handed.len());
-        let refused_before = vehicle.refused.each_ref().map(Vec::len);
+        let rejected_before = vehicle.rejected.each_ref().map(Vec::len);
         let counted_before = vehicle.counted;
         let told_before = self.radio_told;
         let handed: Vec<&[u8]> = up
@@ -392,7 +391,7 @@ impl Demo {
             .filter_map(|one| one.expected.as_deref().ok())
             .collect();
         let opened = handed.len();
-        let refused = up.len() - opened;
+        let rejected = up.len() - opened;
         let handed = handed.concat();
 
         vehicle.autopilot.send(telemetry.concat())?;
@@ -404,9 +403,9 @@ impl Demo {
             vehicle.handed.len() - handed_before >= handed.len()
                 && sealing.packages == vehicle.packages.len()
                 && sealing.packets >= counted_before[0].packets + short.len()
-                && sealing.refused >= counted_before[0].refused + long
+                && sealing.rejected >= counted_before[0].rejected + long
                 && opening.packages >= counted_before[1].packages + opened
-                && opening.refused >= counted_before[1].refused + refused
+                && opening.rejected >= counted_before[1].rejected + rejected
         })?;
 
         // Down: what the witness reads is the telemetry, whole and in order, and the radio's status.
@@ -449,24 +448,25 @@ impl Demo {
             ));
         }
         if !telemetry.is_empty() {
-            self.plain.push(Row {
+            self.local.push(Row {
                 name: format!("recorded telemetry{when}"),
                 counts: [
                     telemetry.len(),
                     right,
-                    self.vehicle.refused[0].len() - refused_before[0],
+                    self.vehicle.rejected[0].len() - rejected_before[0],
                 ],
                 because: "longer than a message".to_owned(),
             });
         }
-        let reasons = &self.vehicle.refused[0][refused_before[0]..];
+        let reasons = &self.vehicle.rejected[0][rejected_before[0]..];
         if reasons.len() != long
             || reasons
                 .iter()
                 .any(|reason| reason != "longer than a message")
         {
-            self.failures
-                .push(format!("{long} packets are too long, refused: {reasons:?}"));
+            self.failures.push(format!(
+                "{long} packets are too long, rejected: {reasons:?}"
+            ));
         }
 
         // Up: each frame by itself.
@@ -477,10 +477,10 @@ impl Demo {
                 handed.len()
             ));
         }
-        let mut reasons = self.vehicle.refused[1][refused_before[1]..].iter();
+        let mut reasons = self.vehicle.rejected[1][rejected_before[1]..].iter();
         let mut bytes = &self.vehicle.handed[handed_before..];
         for delivery in &up {
-            let [.., accepted, refused] = &mut self.up[delivery.row].counts;
+            let [.., accepted, rejected] = &mut self.up[delivery.row].counts;
             match &delivery.expected {
                 Ok(packets) => {
                     if let Some(rest) = bytes.strip_prefix(&packets[..]) {
@@ -489,7 +489,8 @@ impl Demo {
                     }
                 }
                 Err(because) => {
-                    *refused += usize::from(reasons.next().is_some_and(|reason| reason == because));
+                    *rejected +=
+                        usize::from(reasons.next().is_some_and(|reason| reason == because));
                     (*because).clone_into(&mut self.up[delivery.row].because);
                 }
             }
@@ -497,16 +498,16 @@ impl Demo {
         let left = reasons.len();
         if let Some(first) = reasons.next() {
             self.failures
-                .push(format!("{left} refusals too many, the first: {first}"));
+                .push(format!("{left} rejections too many, the first: {first}"));
         }
         for row in self
             .up
             .iter()
             .filter(|row| row.counts[3] != row.counts[4] + row.counts[5])
         {
-            let [.., arrived, accepted, refused] = row.counts;
+            let [.., arrived, accepted, rejected] = row.counts;
             self.failures.push(format!(
-                "{}: {arrived} arrived, {accepted} accepted, {refused} refused",
+                "{}: {arrived} arrived, {accepted} accepted, {rejected} rejected",
                 row.name
             ));
         }
@@ -517,13 +518,13 @@ impl Demo {
             Counted {
                 packages: self.vehicle.packages.len(),
                 packets: counted_before[0].packets + short.len() + self.radio_told - told_before,
-                refused: counted_before[0].refused + long,
+                rejected: counted_before[0].rejected + long,
                 dropped: 0,
             },
             Counted {
                 packages: counted_before[1].packages + opened,
                 packets: counted_before[1].packets + 2 * opened,
-                refused: counted_before[1].refused + refused,
+                rejected: counted_before[1].rejected + rejected,
                 dropped: 0,
             },
         ];
@@ -577,9 +578,9 @@ impl Demo {
         let mut deliveries = Vec::new();
         let mut frames = Vec::new();
         for sealed in self.accepted.iter().rev().take(EACH) {
-            frames.push(frame_of(hx::Tag::AirData, &sealed.package)?);
+            frames.push(frame_of(hx::FrameKind::AirData, &sealed.package)?);
         }
-        self.refused("from before the restart", "stale", frames, &mut deliveries);
+        self.rejected("from before the restart", "stale", frames, &mut deliveries);
         self.exchange(&[], deliveries, "")
     }
 
@@ -590,10 +591,10 @@ impl Demo {
         self.failures.append(&mut self.vehicle.faults);
         println!("\nThe firmware's log:");
         print_log(&self.vehicle.lines);
-        let names = ["packets", "sealed", "refused"];
+        let names = ["packets", "sealed", "rejected"];
         println!(
             "\nFrom the autopilot into the vehicle:\n{}",
-            summed(names, self.plain)
+            summed(names, self.local)
         );
         println!(
             "\nThrough the air to the vehicle:\n{}",
@@ -625,9 +626,9 @@ impl Demo {
 /// A frame with 101 bytes, one more than there may be.
 fn frame_too_long() -> Vec<u8> {
     let mut frame = vec![1; 104];
-    frame[0] = hx::BOUNDARY;
+    frame[0] = hx::FLAG;
     frame[1] = 0;
-    frame[103] = hx::BOUNDARY;
+    frame[103] = hx::FLAG;
     frame
 }
 

@@ -11,7 +11,7 @@ use anyhow::{Context, Result, ensure};
 
 use super::{
     plan,
-    replay::{Replay, succeed},
+    replay::{ReplayGuard, succeed},
     results::{Coverage, Lines, Results, Run},
     scan, table,
 };
@@ -89,7 +89,7 @@ fn list(names: &[String]) -> String {
 struct Instrumented {
     root: PathBuf,
     folder: PathBuf,
-    replay: Replay,
+    replay: ReplayGuard,
     tools: PathBuf,
 }
 
@@ -99,7 +99,7 @@ impl Instrumented {
         let folder = target_dir()?.join("fuzz/coverage");
         Ok(Self {
             root: root.to_owned(),
-            replay: Replay::build(root, &folder, "-Cinstrument-coverage")?,
+            replay: ReplayGuard::build(root, &folder, "-Cinstrument-coverage")?,
             folder,
             tools,
         })

@@ -94,7 +94,7 @@ impl Engine {
         Ok(())
     }
 
-    /// `cargo fuzz <verb>`, to which the caller adds a target.
+    /// `cargo fuzz <command>`, to which the caller adds a target.
     fn cargo(&self, verb: &str) -> Command {
         let mut cargo = self.cargo_fuzz.command();
         cargo.current_dir(&self.tree);

@@ -60,10 +60,10 @@ pub(super) fn mutants(fuzzer: &Fuzzer, only: &[String], jobs: usize) -> Result<(
         .filter(|mutant| !exempt.contains_key(&mutant.name));
     for (mutant, fate) in trials.in_parallel(todo.collect(), jobs)? {
         let found = matches!(fate, Fate::Found { .. });
-        if found == (mutant.canary == Some(Canary::Survives)) {
+        if found == (mutant.control == Some(Canary::Survives)) {
             faults.push(mutant.name.as_str());
         }
-        if mutant.canary.is_none() {
+        if mutant.control.is_none() {
             fates.mutants.insert(mutant.name.clone(), fate);
         }
     }

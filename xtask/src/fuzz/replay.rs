@@ -8,12 +8,12 @@ use std::{
 use anyhow::{Context, Result, ensure};
 
 /// The example, built from one copy of the sources.
-pub(super) struct Replay {
+pub(super) struct ReplayGuard {
     tree: PathBuf,
     pub(super) program: PathBuf,
 }
 
-impl Replay {
+impl ReplayGuard {
     /// Builds it in `target_dir`, with more `flags` for the compiler.
     ///
     /// # Errors

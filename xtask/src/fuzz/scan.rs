@@ -13,7 +13,7 @@ const PRINTING: [&str; 2] = ["fmt::Display for ", "fmt::Debug for "];
 const AT_COMPILE_TIME: &str = "mavlink/src/dialect/mod.rs";
 
 /// Every variant of every error in `folders`, such as `VerifyError::BadTag`: of enumerations called
-/// so, and of the relay's `Refusal`.
+/// so, and of the relay's `RejectReason`.
 ///
 /// # Errors
 /// If a source cannot be read.
@@ -33,7 +33,7 @@ fn variants_in(text: &str) -> Vec<String> {
     for line in text.lines() {
         if let Some(rest) = line.strip_prefix("pub enum ") {
             let name = word(rest);
-            open = (name.ends_with("Error") || name == "Refusal").then_some(name);
+            open = (name.ends_with("Error") || name == "Rejection").then_some(name);
         } else if line == "}" {
             open = None;
         } else if let (Some(name), Some(variant)) = (open, line.strip_prefix("    "))

@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 
-use super::{Fuzzer, replay::Replay, without_engine};
+use super::{Fuzzer, replay::ReplayGuard, without_engine};
 use crate::demo::wire::telemetry_path;
 use crate::proofs::workshop::files;
 use crate::setup::{root, target_dir};
@@ -60,7 +60,7 @@ fn contents(folder: &Path) -> Result<BTreeMap<PathBuf, Vec<u8>>> {
 /// # Errors
 /// If the engine fails.
 pub(super) fn minimise(fuzzer: &Fuzzer) -> Result<()> {
-    let replay = Replay::build(&fuzzer.root, &fuzzer.target_dir.join("replay"), "")?;
+    let replay = ReplayGuard::build(&fuzzer.root, &fuzzer.target_dir.join("replay"), "")?;
     for target in &fuzzer.targets {
         let name = &target.name;
         let corpus = fuzzer.root.join("fuzz/corpus").join(name);

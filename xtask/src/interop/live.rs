@@ -65,7 +65,7 @@ struct Ground {
     frames: usize,
     signed: usize,
     gaps: usize,
-    refused: usize,
+    rejected: usize,
     links: Vec<Option<u8>>,
     /// The commands that are to come to the vehicle.
     authentic: Vec<Sent>,
@@ -86,7 +86,7 @@ fn pymavlink(
     let digest = hmac_sha256::Hash::hash(passphrase.as_bytes());
     let key: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
     let mut ground = script(python, "ground.py");
-    ground.args([&bench.secure.to_string(), &key, &LINK_IN.to_string()]);
+    ground.args([&bench.link.to_string(), &key, &LINK_IN.to_string()]);
     let ground = Process::start(&mut ground)?.wait_for("{")?;
     let ground: Ground = serde_json::from_str(&ground).context("ground.py")?;
     let vehicle: Vehicle = serde_json::from_str(&bench.end_vehicle()?).context("vehicle.py")?;
@@ -97,7 +97,7 @@ fn pymavlink(
     let Ground {
         frames,
         gaps,
-        refused,
+        rejected,
         links,
         authentic,
         acknowledged,
@@ -105,13 +105,13 @@ fn pymavlink(
         ..
     } = ground;
     let adopted = ground.adopted;
-    let all_authentic = ground.signed == frames && gaps == 0 && refused == 0;
+    let all_authentic = ground.signed == frames && gaps == 0 && rejected == 0;
     let commands = &vehicle.commands;
     let checks = [
         (
             all_authentic,
             format!(
-                "{} of {frames} frames are authentic, {gaps} gaps, {refused} refused",
+                "{} of {frames} frames are authentic, {gaps} gaps, {rejected} rejected",
                 ground.signed
             ),
         ),
@@ -153,7 +153,7 @@ fn mavproxy(bench: &mut Bench, peers: &Peers, passphrase: &str, report: &mut Rep
     station
         .arg("-u")
         .arg(python.with_file_name("mavproxy.py"))
-        .arg(format!("--master=tcp:127.0.0.1:{}", bench.secure))
+        .arg(format!("--master=tcp:127.0.0.1:{}", bench.link))
         .arg(format!("--cmd=signing key {passphrase}"))
         .args([
             "--default-modules=signing,link,cmdlong",

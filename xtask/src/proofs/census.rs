@@ -1,4 +1,4 @@
-//! Whether every claim has a harness, a twin and a mutant, and whatever is written has a claim.
+//! Whether every claim has a harness, a property test and a mutant, and whatever is written has a claim.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -24,13 +24,13 @@ pub(crate) struct Project {
     pub(crate) mutants: Vec<Mutant>,
     pub(crate) found: Found,
     pub(crate) metadata: Metadata,
-    /// For each package with twins: what they depend on.
+    /// For each package with property tests: what they depend on.
     tests: BTreeMap<String, String>,
     /// The same for each package and module with harnesses.
     proofs: BTreeMap<(String, String), String>,
 }
 
-/// Twins that one call of `cargo test` runs.
+/// Property tests that one call of `cargo test` runs.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Twins<'a> {
     pub(crate) package: &'a str,
@@ -83,7 +83,7 @@ impl Project {
         self.proofs.get(&place(harness)).map_or("", String::as_str)
     }
 
-    /// Hashes of what decides whether the harnesses, and whether the twins, notice `mutant`.
+    /// Hashes of what decides whether the harnesses, and whether the property tests, notice `mutant`.
     pub(crate) fn sources_of_mutant(&self, mutant: &Mutant) -> Result<[String; 2]> {
         let change = serde_json::to_string(mutant)?;
         let [mut harnesses, mut twins] = [change.clone(), change];
@@ -107,7 +107,7 @@ impl Project {
         Ok([hash_of(&harnesses), hash_of(&twins)])
     }
 
-    /// The twins `prefix*`, by package: each to be run on its own.
+    /// The property tests `prefix*`, by package: each to be run on its own.
     pub(crate) fn twins(&self, prefix: &str) -> BTreeSet<Twins<'_>> {
         let named = self.found.twins.iter();
         let named = named.filter(|twin| twin.name.starts_with(prefix));
@@ -140,7 +140,7 @@ impl Project {
     /// Mutants that the property `id` must notice.
     pub(crate) fn mutants_of(&self, id: &str) -> Vec<&Mutant> {
         let all = self.mutants.iter();
-        all.filter(|mutant| mutant.canary.is_none() && mutant.ids().contains(id))
+        all.filter(|mutant| mutant.control.is_none() && mutant.ids().contains(id))
             .collect()
     }
 
@@ -172,9 +172,9 @@ impl Project {
             if !self
                 .mutants
                 .iter()
-                .any(|mutant| mutant.canary == Some(kind))
+                .any(|mutant| mutant.control == Some(kind))
             {
-                faults.push(format!("no canary that {name}"));
+                faults.push(format!("no control that {name}"));
             }
         }
         faults
@@ -202,7 +202,7 @@ impl Project {
             fault("names no model, but a harness of it has a stub");
         }
         if self.twins(&prefix).is_empty() {
-            fault("has no twin");
+            fault("has no property test");
         }
         let mutants = self.mutants_of(id);
         let kills = mutants.iter().flat_map(|mutant| &mutant.kills);
@@ -228,7 +228,9 @@ impl Project {
         }
         for prefix in mutant.twins() {
             if self.twins(&prefix).is_empty() {
-                faults.push(format!("mutant {name}: there is no twin {prefix}*"));
+                faults.push(format!(
+                    "mutant {name}: there is no property test {prefix}*"
+                ));
             }
         }
     }

@@ -19,7 +19,7 @@ pub(crate) enum Depth {
     Proof,
     /// What a fuzz target runs: no comments, no tests, no harnesses.
     Fuzz,
-    /// What a twin runs: no comments, no harnesses.
+    /// What a property test runs: no comments, no harnesses.
     Tests,
 }
 

@@ -1,4 +1,4 @@
-//! `cargo xtask proofs --mutants`: broken code must be noticed by its proofs and by its twins.
+//! `cargo xtask proofs --mutants`: broken code must be noticed by its proofs and by its property tests.
 
 use std::{collections::BTreeSet, fs, process::Command, sync::Mutex};
 
@@ -9,24 +9,26 @@ use super::{
     kani::{self, Verdict},
     plan::{Canary, Mutant, id_of},
     process,
-    results::{Fate, Fates, Results, Trial},
+    results::{Fates, Outcome, Results, Trial},
     table,
     workshop::Workshop,
 };
 
-/// Tries the mutants that concern the ids chosen, and the canaries first; with `stale`, only those that
+/// Tries the mutants that concern the ids chosen, and the controls first; with `stale`, only those that
 /// are not noticed yet on these sources.
 ///
 /// # Errors
 /// If a mutant is not noticed, or the checks themselves misbehave.
 pub(crate) fn run(run: &Run, stale: bool) -> Result<()> {
     if run.kani.is_none() {
-        println!("cargo kani is not installed: only the twins are tried, nothing is proved");
+        println!(
+            "cargo kani is not installed: only the property tests are tried, nothing is proved"
+        );
     }
     let all = &run.project.mutants;
     let chosen = |mutant: &&Mutant| mutant.ids().iter().any(|id| run.wanted(id));
     let (canaries, mutants): (Vec<_>, Vec<_>) =
-        all.iter().partition(|mutant| mutant.canary.is_some());
+        all.iter().partition(|mutant| mutant.control.is_some());
     let mut mutants: Vec<_> = mutants.into_iter().filter(chosen).collect();
     if stale {
         let results = Results::load(&run.root)?;
@@ -43,20 +45,20 @@ pub(crate) fn run(run: &Run, stale: bool) -> Result<()> {
         attempt(run, workshop, mutant, harnesses, twins, &unproved)
     };
     let first = run.snapshot.workshop(0)?;
-    for canary in canaries {
-        let (harnesses, twins) = (canary.kills.clone(), canary.twins());
-        let trial = attempt(&first, canary, &harnesses, &twins)?;
-        let expected = match canary.canary {
-            Some(Canary::Survives) => Fate::Survived,
-            _ => Fate::Killed,
+    for control in canaries {
+        let (harnesses, twins) = (control.kills.clone(), control.twins());
+        let trial = attempt(&first, control, &harnesses, &twins)?;
+        let expected = match control.control {
+            Some(Canary::Survives) => Outcome::Survived,
+            _ => Outcome::Killed,
         };
         ensure!(
             trial.fates().all(|(_, fate)| *fate == expected),
-            "the run is void: canary {} should be {expected:?}: {}",
-            canary.name,
+            "the run is void: control {} should be {expected:?}: {}",
+            control.name,
             summary(&trial)
         );
-        println!("canary {}: {expected:?}, as it must", canary.name);
+        println!("control {}: {expected:?}, as it must", control.name);
     }
 
     let survivors = Mutex::new(Vec::new());
@@ -81,7 +83,7 @@ pub(crate) fn run(run: &Run, stale: bool) -> Result<()> {
     Ok(())
 }
 
-/// Adds a trial of some harnesses and twins to what is known of the others.
+/// Adds a trial of some harnesses and property tests to what is known of the others.
 fn merge(results: &mut Results, name: &str, trial: Trial) {
     let known = results.mutants.entry(name.to_owned()).or_default();
     known.harnesses.merge(trial.harnesses);
@@ -97,11 +99,13 @@ fn baseline(run: &Run, canaries: &[&Mutant], mutants: &[&Mutant]) -> Result<BTre
     let first = run.snapshot.workshop(0)?;
     for prefix in prefixes {
         match twins(run, &first, &prefix)? {
-            Fate::Survived => {}
-            other => bail!("the run is void: twins {prefix}* without any mutant: {other:?}"),
+            Outcome::Survived => {}
+            other => {
+                bail!("the run is void: property tests {prefix}* without any mutant: {other:?}")
+            }
         }
     }
-    println!("twins pass on the code as it is");
+    println!("property tests pass on the code as it is");
     if run.kani.is_none() {
         return Ok(BTreeSet::new());
     }
@@ -144,7 +148,7 @@ fn attempt(
     if run.kani.is_some() {
         for name in harnesses {
             let fate = if unproved.contains(name) {
-                Fate::Error("the code as it is is not proved".to_owned())
+                Outcome::Error("the code as it is is not proved".to_owned())
             } else {
                 proof(run, workshop, name)?
             };
@@ -161,19 +165,19 @@ fn attempt(
 }
 
 /// What a harness makes of the code in a worker's copy.
-fn proof(run: &Run, workshop: &Workshop, name: &str) -> Result<Fate> {
+fn proof(run: &Run, workshop: &Workshop, name: &str) -> Result<Outcome> {
     let harness = run.project.found.harness(name).context("no harness")?;
     let run = kani::run(&workshop.tree, &workshop.kani, harness, run.limits())?;
     Ok(match run.verdict {
-        Verdict::Verified => Fate::Survived,
-        Verdict::Refuted => Fate::Killed,
+        Verdict::Verified => Outcome::Survived,
+        Verdict::Refuted => Outcome::Killed,
         // That a cover is lost shows nothing about the assertions.
-        verdict => Fate::Error(format!("{verdict:?}: {}", run.reason.unwrap_or_default())),
+        verdict => Outcome::Error(format!("{verdict:?}: {}", run.reason.unwrap_or_default())),
     })
 }
 
-/// What the twins `prefix*` make of the code in a worker's copy.
-fn twins(run: &Run, workshop: &Workshop, prefix: &str) -> Result<Fate> {
+/// What the property tests `prefix*` make of the code in a worker's copy.
+fn twins(run: &Run, workshop: &Workshop, prefix: &str) -> Result<Outcome> {
     let mut fates = Vec::new();
     for twins in run.project.twins(prefix) {
         let mut cargo = Command::new("cargo");
@@ -192,27 +196,31 @@ fn twins(run: &Run, workshop: &Workshop, prefix: &str) -> Result<Fate> {
         };
         let ended = process::run(&mut cargo, run.limits())?;
         fates.push(match ended.stopped {
-            Some(_) => Fate::Error("the twins took too much".to_owned()),
+            Some(_) => Outcome::Error("the property tests took too much".to_owned()),
             None => {
                 fate_of_tests(&ended.stdout, ours, ended.status.success()).unwrap_or_else(|| {
                     let error = ended.stderr.lines().find(|line| line.starts_with("error"));
-                    Fate::Error(error.unwrap_or("the twins gave no verdict").to_owned())
+                    Outcome::Error(
+                        error
+                            .unwrap_or("the property tests gave no verdict")
+                            .to_owned(),
+                    )
                 })
             }
         });
     }
-    let killed = fates.contains(&Fate::Killed);
-    let other = fates.into_iter().find(|fate| *fate != Fate::Survived);
+    let killed = fates.contains(&Outcome::Killed);
+    let other = fates.into_iter().find(|fate| *fate != Outcome::Survived);
     Ok(match other {
-        _ if killed => Fate::Killed,
+        _ if killed => Outcome::Killed,
         Some(error) => error,
-        None => Fate::Survived,
+        None => Outcome::Survived,
     })
 }
 
 /// Reads what `cargo test` printed: a kill is a test that failed and whose name begins with
 /// `ours`. None without a verdict: then it did not compile, or no such test was run.
-fn fate_of_tests(output: &str, ours: &str, success: bool) -> Option<Fate> {
+fn fate_of_tests(output: &str, ours: &str, success: bool) -> Option<Outcome> {
     let results = output.lines().filter_map(|line| {
         let (name, result) = line.strip_prefix("test ")?.split_once(" ... ")?;
         let function = name.rsplit("::").next()?;
@@ -228,8 +236,8 @@ fn fate_of_tests(output: &str, ours: &str, success: bool) -> Option<Fate> {
         }
     }
     match (passed, failed, success) {
-        (_, 1.., false) => Some(Fate::Killed),
-        (1.., 0, true) => Some(Fate::Survived),
+        (_, 1.., false) => Some(Outcome::Killed),
+        (1.., 0, true) => Some(Outcome::Survived),
         _ => None,
     }
 }
@@ -239,7 +247,7 @@ fn summary(trial: &Trial) -> String {
     let twins = trial.twins.fates.iter();
     let fates = harnesses
         .map(|(name, fate)| format!("{name} {fate:?}"))
-        .chain(twins.map(|(prefix, fate)| format!("twins {prefix}* {fate:?}")));
+        .chain(twins.map(|(prefix, fate)| format!("property tests {prefix}* {fate:?}")));
     fates.collect::<Vec<_>>().join(", ")
 }
 
@@ -250,17 +258,17 @@ mod tests {
     #[test]
     fn only_a_failed_twin_is_a_kill() {
         let fate = |output, success| fate_of_tests(output, "v1_", success);
-        let passed = "test verify::twins::v1_random ... ok";
-        let failed = "test verify::twins::v1_edges ... FAILED";
-        assert_eq!(fate(passed, true), Some(Fate::Survived));
+        let passed = "test verify::property tests::v1_random ... ok";
+        let failed = "test verify::property tests::v1_edges ... FAILED";
+        assert_eq!(fate(passed, true), Some(Outcome::Survived));
         let both = format!("{passed}\n{failed}");
-        assert_eq!(fate(&both, false), Some(Fate::Killed));
-        let other = "test verify::twins::w1_v1_edges ... FAILED";
+        assert_eq!(fate(&both, false), Some(Outcome::Killed));
+        let other = "test verify::property tests::w1_v1_edges ... FAILED";
         for (output, success) in [(other, false), ("", true), ("", false), (passed, false)] {
             assert_eq!(fate(output, success), None, "{output}");
         }
         let doctest = "test proofs/src/a.rs - a (line 20) - compile fail ... FAILED";
         let fate = fate_of_tests(doctest, "proofs/src/a.rs", false);
-        assert_eq!(fate, Some(Fate::Killed));
+        assert_eq!(fate, Some(Outcome::Killed));
     }
 }

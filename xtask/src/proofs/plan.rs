@@ -14,7 +14,7 @@ const MUTANTS: &str = "proofs/mutants.toml";
 pub(crate) struct Plan {
     /// The only version of Kani whose results count.
     pub(crate) kani: String,
-    /// What one harness, or the twins of one mutant, may take.
+    /// What one harness, or the property tests of one mutant, may take.
     pub(crate) timeout_minutes: u64,
     /// What one harness may take, all its processes together.
     pub(crate) memory_gb: u64,
@@ -26,7 +26,7 @@ pub(crate) struct Plan {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Property {
-    /// `W1`: its harnesses and twins are the functions `w1_*`.
+    /// `W1`: its harnesses and property tests are the functions `w1_*`.
     pub(crate) id: String,
     pub(crate) statement: String,
     /// The section of the MAVLink guide, or the RFC, that it is about.
@@ -41,12 +41,12 @@ pub(crate) struct Property {
     /// Why there can be no harness, for example because it is about what does not compile.
     #[serde(default)]
     pub(crate) no_harness: Option<String>,
-    /// A file whose documentation tests are twins as well.
+    /// A file whose documentation tests are property tests as well.
     #[serde(default)]
     pub(crate) doctests: Option<String>,
 }
 
-/// A change that breaks the code and must be noticed by proofs and twins.
+/// A change that breaks the code and must be noticed by proofs and property tests.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Mutant {
@@ -61,15 +61,15 @@ pub(crate) struct Mutant {
     /// Harnesses that must fail, by function name.
     #[serde(default)]
     pub(crate) kills: Vec<String>,
-    /// Twins that must fail, by the beginning of their names; without it, `v1_` for a harness `v1_*`.
+    /// Property tests that must fail, by the beginning of their names; without it, `v1_` for a harness `v1_*`.
     #[serde(default)]
     pub(crate) twins: Vec<String>,
     /// Not a mutant, but a check of the checks: tried first, and the run is void if it misbehaves.
     #[serde(default)]
-    pub(crate) canary: Option<Canary>,
+    pub(crate) control: Option<Canary>,
 }
 
-/// What a canary must do.
+/// What a control must do.
 #[derive(Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Canary {
@@ -86,7 +86,7 @@ impl Plan {
         self.properties.iter().find(|property| property.id == id)
     }
 
-    /// The file with documentation tests among the twins `prefix*`.
+    /// The file with documentation tests among the property tests `prefix*`.
     pub(crate) fn doctests(&self, prefix: &str) -> Option<&str> {
         self.property(&id_of(prefix)?)?.doctests.as_deref()
     }
@@ -102,7 +102,7 @@ impl Mutant {
         Ok(load::<Mutants>(root, MUTANTS)?.mutant)
     }
 
-    /// The twins that must fail.
+    /// The property tests that must fail.
     pub(crate) fn twins(&self) -> BTreeSet<String> {
         if !self.twins.is_empty() {
             return self.twins.iter().cloned().collect();
@@ -172,7 +172,7 @@ mod tests {
             replace: "<".into(),
             kills: vec!["v1_a".into(), "r1_b".into(), "v1_c".into()],
             twins: vec![],
-            canary: None,
+            control: None,
         };
         assert_eq!(mutant("<=").apply("a <= b").as_deref(), Ok("a < b"));
         assert!(mutant("<=").apply("a <= b <= c").is_err());

@@ -60,7 +60,7 @@ pub(crate) struct Conditions {
     pub(crate) date: String,
 }
 
-/// What became of a mutant. A change of a twin makes what the harnesses noticed no less true.
+/// What became of a mutant. A change of a property test makes what the harnesses noticed no less true.
 #[derive(Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Trial {
     /// By function name.
@@ -69,19 +69,19 @@ pub(crate) struct Trial {
     pub(crate) twins: Fates,
 }
 
-/// Whether harnesses or twins noticed a mutant.
+/// Whether harnesses or property tests noticed a mutant.
 #[derive(Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Fates {
     pub(crate) date: String,
-    pub(crate) fates: BTreeMap<String, Fate>,
+    pub(crate) fates: BTreeMap<String, Outcome>,
     /// Hash of what was changed, how, and of what should notice.
     pub(crate) sources: String,
 }
 
-/// What a harness or the twins made of a mutant.
+/// What a harness or the property tests made of a mutant.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub(crate) enum Fate {
+pub(crate) enum Outcome {
     Killed,
     Survived,
     /// Neither: it does not compile, takes too long, or Kani does not get to its end.
@@ -133,11 +133,11 @@ impl Proof {
 impl Trial {
     /// Whether all that belongs to the property `id` noticed; `None` if something was not tried.
     pub(crate) fn killed(&self) -> bool {
-        self.fates().all(|(_, fate)| *fate == Fate::Killed)
+        self.fates().all(|(_, fate)| *fate == Outcome::Killed)
     }
 
-    /// What each harness and each group of twins made of it.
-    pub(crate) fn fates(&self) -> impl Iterator<Item = (&String, &Fate)> {
+    /// What each harness and each group of property tests made of it.
+    pub(crate) fn fates(&self) -> impl Iterator<Item = (&String, &Outcome)> {
         self.harnesses.fates.iter().chain(&self.twins.fates)
     }
 }

@@ -1,4 +1,4 @@
-//! Harnesses and twins in a package's sources, with their paths; no compiler needed.
+//! Harnesses and property tests in a package's sources, with their paths; no compiler needed.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -15,7 +15,7 @@ use super::{fingerprint::rust_files, plan::id_of};
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Harness {
     pub(crate) package: String,
-    /// `verify::harness::v1_accepted_iff`, as `cargo kani --exact --harness` wants it.
+    /// `verify::verification::v1_accepted_iff`, as `cargo kani --exact --harness` wants it.
     pub(crate) path: String,
     /// The solver it asks for, or Kani's default.
     pub(crate) solver: String,
@@ -23,7 +23,7 @@ pub(crate) struct Harness {
     pub(crate) stubbed: bool,
 }
 
-/// A function with `#[test]` and the name of a twin.
+/// A function with `#[test]` and the name of a property test.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Twin {
     pub(crate) package: String,
@@ -75,7 +75,7 @@ impl Found {
         scan.file(&root, &source, &[])?;
         let tests = folder.join("tests");
         for file in rust_files(&tests)? {
-            // Which of them is a root does not matter: only names of twins are wanted.
+            // Which of them is a root does not matter: only names of property tests are wanted.
             scan.tokens(read(&file)?, &tests, None)?;
         }
         for file in rust_files(&source)? {
@@ -99,20 +99,20 @@ struct Scan<'a> {
     package: &'a str,
     found: &'a mut Found,
     seen: BTreeSet<PathBuf>,
-    /// Macros that make harnesses or twins of names they are given.
-    macros: BTreeMap<String, Marks>,
+    /// Macros that make harnesses or property tests of names they are given.
+    macros: BTreeMap<String, HighWaterMarks>,
 }
 
 /// What the attributes in front of a function say.
 #[derive(Clone, Default)]
-struct Marks {
+struct HighWaterMarks {
     proof: bool,
     test: bool,
     solver: Option<String>,
     stubbed: bool,
 }
 
-impl Marks {
+impl HighWaterMarks {
     fn note(&mut self, attribute: &TokenStream) {
         let text: String = attribute.to_string().split_whitespace().collect();
         self.proof |= text.contains("kani::proof");
@@ -134,7 +134,7 @@ impl Scan<'_> {
     /// Source text in the module `path`, or in none that matters.
     fn tokens(&mut self, text: TokenStream, folder: &Path, path: Option<&[String]>) -> Result<()> {
         let tokens: Vec<TokenTree> = text.into_iter().collect();
-        let mut marks = Marks::default();
+        let mut marks = HighWaterMarks::default();
         for (i, token) in tokens.iter().enumerate() {
             let next = tokens.get(i + 1);
             match token {
@@ -143,7 +143,9 @@ impl Scan<'_> {
                         marks.note(&group.stream());
                     }
                 }
-                TokenTree::Punct(punct) if punct.as_char() == ';' => marks = Marks::default(),
+                TokenTree::Punct(punct) if punct.as_char() == ';' => {
+                    marks = HighWaterMarks::default()
+                }
                 TokenTree::Ident(word) if word == "fn" => {
                     if let Some(TokenTree::Ident(name)) = next {
                         self.function(&name.to_string(), &marks, path);
@@ -181,7 +183,7 @@ impl Scan<'_> {
                         self.tokens(group.stream(), folder, path)?;
                     }
                     if group.delimiter() == Delimiter::Brace {
-                        marks = Marks::default();
+                        marks = HighWaterMarks::default();
                     }
                 }
                 _ => {}
@@ -190,7 +192,7 @@ impl Scan<'_> {
         Ok(())
     }
 
-    fn function(&mut self, name: &str, marks: &Marks, path: Option<&[String]>) {
+    fn function(&mut self, name: &str, marks: &HighWaterMarks, path: Option<&[String]>) {
         let package = self.package.to_owned();
         if marks.test && id_of(name).is_some() {
             self.found.twins.push(Twin {
@@ -233,14 +235,14 @@ impl Scan<'_> {
         }
     }
 
-    /// Remembers every macro in `tokens` that makes harnesses or twins of the names it is given.
+    /// Remembers every macro in `tokens` that makes harnesses or property tests of the names it is given.
     fn find_macros(&mut self, tokens: TokenStream) {
         let tokens: Vec<TokenTree> = tokens.into_iter().collect();
         for (i, token) in tokens.iter().enumerate() {
             match token {
                 TokenTree::Ident(word) if word == "macro_rules" => {
                     if let [_, name, body, ..] = &tokens[i + 1..] {
-                        let mut marks = Marks::default();
+                        let mut marks = HighWaterMarks::default();
                         note_all(TokenStream::from(body.clone()), &mut marks);
                         if marks.proof || marks.test {
                             self.macros.insert(name.to_string(), marks);
@@ -255,7 +257,7 @@ impl Scan<'_> {
 }
 
 /// Every attribute anywhere in `tokens`.
-fn note_all(tokens: TokenStream, marks: &mut Marks) {
+fn note_all(tokens: TokenStream, marks: &mut HighWaterMarks) {
     let mut hash = false;
     for token in tokens {
         if let TokenTree::Group(group) = &token {
@@ -269,7 +271,7 @@ fn note_all(tokens: TokenStream, marks: &mut Marks) {
     }
 }
 
-/// Names of harnesses and twins anywhere in `tokens`.
+/// Names of harnesses and property tests anywhere in `tokens`.
 fn identifiers(tokens: TokenStream) -> Vec<String> {
     let mut names = Vec::new();
     for token in tokens {
@@ -315,7 +317,7 @@ mod tests {
             r#"
             //! #[kani::proof] fn c9_in_a_comment() {}
             #[cfg(test)]
-            mod twins {
+            mod tests {
                 proptest! { #[test] fn v1_random(x: u8) { let _ = x; } }
                 #[test]
                 fn v1_edges() { fn v1_helper() {} }
@@ -323,7 +325,7 @@ mod tests {
                 fn helper() {}
             }
             #[cfg(kani)]
-            mod harness {
+            mod verification {
                 fn v1_no_harness() {}
                 #[kani::proof]
                 #[kani::unwind(33)]
@@ -356,7 +358,7 @@ mod tests {
     fn harnesses_made_by_a_macro() {
         let found = scan(
             r#"
-            mod harness {
+            mod verification {
                 crate::lengths! { signs: s1_length_0 0, s1_length_255 255, }
             }
             macro_rules! lengths {

@@ -12,7 +12,7 @@ use super::{
     census::Project,
     kani::Verdict,
     plan::{Mutant, Property},
-    results::{Fate, Proof, Results},
+    results::{Outcome, Proof, Results},
     scan::Harness,
 };
 use crate::page::{Page, row};
@@ -191,7 +191,7 @@ pub(crate) fn fresh<'a>(
     }
 }
 
-/// How many of the property's mutants both its harnesses and its twins noticed.
+/// How many of the property's mutants both its harnesses and its property tests noticed.
 fn mutants(project: &Project, results: &Results, id: &str) -> Result<String> {
     let mutants = project.mutants_of(id);
     let mut killed = 0;
@@ -209,10 +209,10 @@ fn mutants(project: &Project, results: &Results, id: &str) -> Result<String> {
     Ok(text)
 }
 
-/// What became of a mutant whose harnesses and twins all noticed it.
+/// What became of a mutant whose harnesses and property tests all noticed it.
 pub(crate) const KILLED: &str = "killed";
 
-/// What the harnesses and twins of the property `id` made of `mutant`, in words.
+/// What the harnesses and property tests of the property `id` made of `mutant`, in words.
 pub(crate) fn fate(
     project: &Project,
     results: &Results,
@@ -238,11 +238,11 @@ pub(crate) fn fate(
         .chain(twins)
         .filter(|(name, _)| name.starts_with(&prefix));
     let fates: Vec<_> = fates.map(|(_, fate)| fate).collect();
-    Ok(if fates.contains(&Some(&Fate::Survived)) {
+    Ok(if fates.contains(&Some(&Outcome::Survived)) {
         "**survived**"
     } else if fates.contains(&None) {
         "not yet run"
-    } else if fates.iter().all(|fate| *fate == Some(&Fate::Killed)) {
+    } else if fates.iter().all(|fate| *fate == Some(&Outcome::Killed)) {
         KILLED
     } else {
         "**without verdict**"

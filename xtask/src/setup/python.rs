@@ -1,4 +1,4 @@
-//! Python with the packages that a verb names, in an environment of its own.
+//! Python with the packages that a command names, in an environment of its own.
 
 use std::{
     fs,

@@ -86,7 +86,7 @@ const NOT_PLAYED: [&str; 6] = [
     "HardFault",
     "semihosting::process::exit",
     "semihosting::sys::arm_compat::exit",
-    "mavseal_relay::sealed::Outward<F,C>::refuse",
+    "mavseal_relay::sealed::Outward<F,C>::reject",
     "core::ptr::drop_in_place<mavlink_commsec::key::Key>",
 ];
 

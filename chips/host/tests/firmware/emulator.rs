@@ -13,7 +13,7 @@ use mavseal_chips_host::Chip;
 use crate::{elf::Elf, instructions::Decoder, mps2::Mps2, stm32c0::Stm32c0};
 
 /// Instructions after which an image is given up: a demonstration takes a fiftieth.
-const PATIENCE: u64 = 20_000_000;
+const MAX_DELAY: u64 = 20_000_000;
 
 /// Where RAM begins, on every Cortex-M.
 const RAM: u32 = 0x2000_0000;
@@ -113,7 +113,7 @@ impl Machine {
         let address = self.pc();
         self.executed += 1;
         ensure!(
-            self.executed < PATIENCE,
+            self.executed < MAX_DELAY,
             "it does not end: at {address:#010x}"
         );
         let offset = address.wrapping_sub(self.flash_start) as usize;

@@ -105,7 +105,7 @@ impl Play {
             .all(|byte| decoder.push(*byte).is_none());
         ensure!(begun, "more than a package: {sealed:02x?}");
         let frame = decoder.push(sealed[end]).context("half a package")??;
-        ensure!(frame.tag() == Tag::AirData, "no package: {sealed:02x?}");
+        ensure!(frame.kind() == Tag::AirData, "no package: {sealed:02x?}");
         let opened = self.opener.open(frame.payload())?;
         let packets = opened.packets().collect::<Result<Vec<_>, _>>()?;
         Ok(packets.concat())

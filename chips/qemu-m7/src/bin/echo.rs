@@ -13,11 +13,11 @@ fn main() -> ! {
     let Some(board) = Board::take() else {
         exit(1);
     };
-    let [mut plain, mut secure] = board.uarts;
+    let [mut local, mut link] = board.uarts;
     info!("Echo: copies, signs nothing");
     loop {
-        copy(&mut plain, &mut secure);
-        copy(&mut secure, &mut plain);
+        copy(&mut local, &mut link);
+        copy(&mut link, &mut local);
     }
 }
 

@@ -1,18 +1,18 @@
-//! The in-line signer: UART 0 is the plain side, UART 1 the secure side.
+//! The in-line signer: UART 0 is the local side, UART 1 the link side.
 
 #![no_std]
 #![no_main]
 
 use cortex_m_rt::entry;
 use mavlink_signing::{
-    KeyChangeError, Keys, Phase, Source, TICKS_PER_SECOND, Timekeeper, Timestamp,
+    KeyChangeError, KeyRing, LinkClock, RolloverState, TICKS_PER_SECOND, TimeSource, Timestamp,
 };
 use mavseal_qemu_m7::{
-    Board, Flash, Overrun, PAGE_SIZE, Runs, WallClock, exit, info, log_refused, warn,
+    Board, Flash, Overrun, PAGE_SIZE, Runs, WallClock, exit, info, log_rejected, warn,
 };
 use mavseal_relay::{
-    BehindMark, Clock, Counters, Direction, Event, Forward, Kept, KeySlots, PortError, Refusal,
-    Relay,
+    Clock, Counters, Direction, Event, FlashKeyStore, ForwardMode, PersistentClock, PortError,
+    RejectReason, Relay, TimeBehindMark,
 };
 use mavseal_store::Region;
 
@@ -30,7 +30,7 @@ const REGION: Region = Region {
     page_size: PAGE_SIZE as u32,
 };
 /// The clock, and the mark in flash.
-type Memory<T> = Kept<Flash, T>;
+type Memory<T> = PersistentClock<Flash, T>;
 
 /// The system and component that SETUP_SIGNING names to give the relay a key: a vehicle's, and
 /// MAV_COMP_ID_USER1.
@@ -40,14 +40,14 @@ const COMPONENT: u8 = 25;
 /// With mavseal at both ends: its own profile, and one peer.
 #[cfg(not(feature = "standard-signature"))]
 mod peer {
-    use mavlink_signing::{Hmac, KEY_SIZE, Replay, Timestamp, Window};
+    use mavlink_signing::{Hmac, KEY_SIZE, ReplayGuard, Timestamp, Window};
     use mavseal_qemu_m7::{DEMO_KEY, info};
 
     /// The link id of the frames that the peer signs.
     const LINK_IN: u8 = 2;
 
     pub(super) type Profile = Hmac;
-    pub(super) type Receiver = Replay;
+    pub(super) type Receiver = ReplayGuard;
 
     pub(super) fn first_key() -> [u8; KEY_SIZE] {
         DEMO_KEY
@@ -59,7 +59,7 @@ mod peer {
             super::LINK_OUT,
             LINK_IN
         );
-        Replay::resume(LINK_IN, Window::LINK, floor)
+        ReplayGuard::resume(LINK_IN, Window::ONE_MINUTE, floor)
     }
 }
 
@@ -67,11 +67,13 @@ mod peer {
 /// for them and for what is behind the relay.
 #[cfg(feature = "standard-signature")]
 mod peer {
-    use mavlink_signing::{KEY_SIZE, Links, Standard, Streams, Timestamp, Window, passphrase_key};
+    use mavlink_signing::{
+        KEY_SIZE, Links, Standard, StreamTable, Timestamp, Window, passphrase_key,
+    };
     use mavseal_qemu_m7::{DEMO_PASSPHRASE, info};
 
     pub(super) type Profile = Standard;
-    pub(super) type Receiver = Streams<16>;
+    pub(super) type Receiver = StreamTable<16>;
 
     pub(super) fn first_key() -> [u8; KEY_SIZE] {
         passphrase_key(DEMO_PASSPHRASE)
@@ -82,13 +84,13 @@ mod peer {
             "In-line signer: signs on link {}, verifies every link",
             super::LINK_OUT
         );
-        Streams::resume(Links::Any, Window::LINK, floor)
+        StreamTable::resume(Links::Any, Window::ONE_MINUTE, floor)
     }
 }
 
 /// The keys in flash; at the very first start, the one that the image was built with.
-fn keys(flash: Flash) -> Option<(KeySlots<Flash>, Keys<peer::Profile>)> {
-    let (mut slots, found) = KeySlots::open(flash, REGION).ok()?;
+fn keys(flash: Flash) -> Option<(FlashKeyStore<Flash>, KeyRing<peer::Profile>)> {
+    let (mut slots, found) = FlashKeyStore::open(flash, REGION).ok()?;
     let keys = match found {
         Some(keys) => keys,
         None if slots.is_empty() => slots.provision(&peer::first_key()).ok()?,
@@ -108,7 +110,7 @@ fn main() -> ! {
     };
     let [mark, slots] = board.flashes;
     // The timer of this board shows the time of day.
-    let Ok(mut kept) = Kept::new(mark, REGION, || wall.now().ticks()) else {
+    let Ok(mut kept) = PersistentClock::new(mark, REGION, || wall.now().ticks()) else {
         warn!("The mark cannot be used");
         exit(1);
     };
@@ -118,38 +120,43 @@ fn main() -> ! {
         exit(1);
     };
     let receiver = peer::receiver(kept.floor());
-    let Ok(relay) = Relay::new(keys, kept.stamper(LINK_OUT), receiver, Forward::Stripped) else {
+    let Ok(relay) = Relay::new(
+        keys,
+        kept.stamper(LINK_OUT),
+        receiver,
+        ForwardMode::StripSignature,
+    ) else {
         warn!("Both directions have the same link id");
         exit(1);
     };
     // The machine that emulates this one may pause for longer than a line does.
     let mut relay = relay.idle(IDLE);
     relay.keep_setup(SYSTEM, COMPONENT);
-    let [mut plain, mut secure] = board.uarts;
+    let [mut local, mut link] = board.uarts;
 
     let mut log = Log::default();
     loop {
         let mut observe = |event| log.event(event);
-        let polled = relay.poll(&mut plain, &mut secure, &mut kept, &mut observe);
-        if let Err(error) = &polled.plain_to_secure {
-            log_port(Direction::PlainToSecure, error);
+        let polled = relay.poll(&mut local, &mut link, &mut kept, &mut observe);
+        if let Err(error) = &polled.outbound {
+            log_port(Direction::Outbound, error);
         }
-        if let Err(error) = &polled.secure_to_plain {
-            log_port(Direction::SecureToPlain, error);
+        if let Err(error) = &polled.inbound {
+            log_port(Direction::Inbound, error);
         }
-        // The plain side is a cable: who holds it may set key and clock.
+        // The local side is a cable: who holds it may set key and clock.
         if let Some(setup) = relay.take_setup() {
             let applied = relay.keys().apply(&setup.secret_key, &mut slots);
             if applied.is_ok() {
-                log_time(kept.tell(Source::Trusted, setup.initial_timestamp));
+                log_time(kept.update(TimeSource::Trusted, setup.initial_timestamp));
             }
             log_key("SETUP_SIGNING", applied);
             // The key in use once more: everybody has it now, and the one before may go.
-            if applied.is_ok() && relay.keys().phase() == Phase::Confirmed {
+            if applied.is_ok() && relay.keys().rollover_state() == RolloverState::Confirmed {
                 log_key("Old key retired", relay.keys().retire(&mut slots));
             }
         }
-        if relay.keys().is_heard() {
+        if relay.keys().confirm_pending() {
             log_key("New key heard", relay.keys().confirm(&mut slots));
         }
         if kept.timer().saturating_sub(told) > HOUR {
@@ -163,22 +170,22 @@ fn main() -> ! {
 fn tell<T: FnMut() -> u64>(kept: &mut Memory<T>) -> u64 {
     let ticks = kept.timer();
     if let Some(time) = Timestamp::from_ticks(ticks) {
-        log_time(kept.tell(Source::Trusted, time));
+        log_time(kept.update(TimeSource::Trusted, time));
     }
     ticks
 }
 
-/// Logs refusals, and the counters when the lines have gone quiet.
+/// Logs rejections, and the counters when the lines have gone quiet.
 #[derive(Default)]
 struct Log {
-    refused: Runs<(Direction, Refusal)>,
+    rejected: Runs<(Direction, RejectReason)>,
     moved: Option<Timestamp>,
 }
 
 impl Log {
     fn event(&mut self, event: Event) {
-        if let Event::Refused(direction, refusal) = event {
-            log_refused(self.refused.push((direction, refusal)));
+        if let Event::Rejected(direction, rejection) = event {
+            log_rejected(self.rejected.push((direction, rejection)));
         }
     }
 
@@ -187,9 +194,9 @@ impl Log {
             self.moved = Some(now);
         } else if self.moved.is_some_and(|last| now.ticks_since(last) > QUIET) {
             self.moved = None;
-            log_refused(self.refused.take());
-            log_counters("signed", relay.plain_to_secure());
-            log_counters("verified", relay.secure_to_plain());
+            log_rejected(self.rejected.take());
+            log_counters("signed", relay.outbound());
+            log_counters("verified", relay.inbound());
         }
     }
 }
@@ -205,7 +212,7 @@ fn log_key(what: &str, result: Result<(), KeyChangeError>) {
     let _ = what;
 }
 
-fn log_time(result: Result<u64, BehindMark>) {
+fn log_time(result: Result<u64, TimeBehindMark>) {
     if let Err(error) = result {
         warn!("{}", error);
         let _ = error;
@@ -218,15 +225,15 @@ fn log_port(direction: Direction, error: &PortError<Overrun, Overrun>) {
 }
 
 fn log_counters(passed: &str, counters: &Counters) {
-    let refused = counters
-        .refusals()
+    let rejected = counters
+        .rejections()
         .fold(0_u32, |sum, (_, count)| sum.saturating_add(count));
     info!(
-        "{}: {}, refused: {}, bytes of no packet: {}",
+        "{}: {}, rejected: {}, bytes of no packet: {}",
         passed,
         counters.passed(),
-        refused,
+        rejected,
         counters.dropped()
     );
-    let _ = (passed, refused);
+    let _ = (passed, rejected);
 }

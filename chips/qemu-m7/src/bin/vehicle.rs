@@ -11,11 +11,11 @@ use cortex_m_rt::entry;
 use heapless::Vec;
 use mavlink_signing::TICKS_PER_SECOND;
 use mavseal_qemu_m7::{
-    Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, log_refused, warn,
+    Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, log_rejected, warn,
 };
 use mavseal_relay::Direction;
-use mavseal_relay::sealed::{Counters, End, Event, Marks, Radio, Refusal};
-use mavseal_store::{Mark, Region};
+use mavseal_relay::sealed::{Counters, Event, HighWaterMarks, Radio, RejectReason, SealedEndpoint};
+use mavseal_store::{HighWaterMark, Region};
 
 /// The vehicle's key, and those of the stations.
 mod keys {
@@ -28,7 +28,7 @@ const STATIONS: usize = PEERS.len();
 const _: () = assert!(STATIONS < COUNTERS, "a flash for every counter");
 
 /// How long a packet waits for others.
-const PATIENCE: Duration = Duration::from_millis(50);
+const MAX_DELAY: Duration = Duration::from_millis(50);
 /// Silence that ends a packet: ten seconds. The serial ports of an emulator pause for as long as the machine
 /// that emulates is busy.
 const IDLE: u64 = 10 * TICKS_PER_SECOND;
@@ -46,12 +46,12 @@ const REGION: Region = Region {
 };
 
 /// The marks in the flashes, one for each counter.
-fn marks(flashes: [Flash; COUNTERS]) -> Option<Marks<Flash, STATIONS>> {
+fn marks(flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
     let [sent, accepted @ ..] = flashes;
     let accepted = accepted.into_iter().take(STATIONS);
-    let accepted = accepted.map_while(|flash| Mark::open(flash, REGION).ok());
-    Some(Marks {
-        sent: Mark::open(sent, REGION).ok()?,
+    let accepted = accepted.map_while(|flash| HighWaterMark::open(flash, REGION).ok());
+    Some(HighWaterMarks {
+        sent: HighWaterMark::open(sent, REGION).ok()?,
         accepted: accepted.collect::<Vec<_, STATIONS>>().into_array().ok()?,
     })
 }
@@ -65,12 +65,12 @@ fn main() -> ! {
         warn!("The marks cannot be used");
         exit(1);
     };
-    let Ok(end) = End::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, PATIENCE) else {
+    let Ok(end) = SealedEndpoint::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, MAX_DELAY) else {
         warn!("The keys cannot be used");
         exit(1);
     };
     let mut end = end.idle(IDLE);
-    let [mut plain, mut radio] = board.uarts;
+    let [mut local, mut radio] = board.uarts;
     let mut uptime = Uptime::new(board.timer);
 
     info!(
@@ -86,12 +86,12 @@ fn main() -> ! {
     loop {
         let now = uptime.ticks();
         let mut observe = |event| log.event(event, now);
-        let polled = end.poll(&mut plain, &mut radio, now, &mut observe);
-        if let Err(error) = &polled.plain_to_secure {
+        let polled = end.poll(&mut local, &mut radio, now, &mut observe);
+        if let Err(error) = &polled.outbound {
             warn!("autopilot to radio: {}", error);
             let _ = error;
         }
-        if let Err(error) = &polled.secure_to_plain {
+        if let Err(error) = &polled.inbound {
             warn!("radio to autopilot: {}", error);
             let _ = error;
         }
@@ -103,10 +103,10 @@ fn main() -> ! {
     }
 }
 
-/// Logs refusals, and the counters when the news have gone quiet.
+/// Logs rejections, and the counters when the news have gone quiet.
 #[derive(Default)]
 struct Log {
-    refused: Runs<(Direction, Refusal)>,
+    rejected: Runs<(Direction, RejectReason)>,
     opened: [u32; STATIONS],
     news: Option<u64>,
 }
@@ -115,8 +115,8 @@ impl Log {
     fn event(&mut self, event: Event, now: u64) {
         self.news = Some(now);
         match event {
-            Event::Refused(direction, refusal) => {
-                log_refused(self.refused.push((direction, refusal)));
+            Event::Rejected(direction, rejection) => {
+                log_rejected(self.rejected.push((direction, rejection)));
             }
             Event::Opened(sender) => {
                 let mut opened = PEERS.iter().zip(&mut self.opened);
@@ -135,7 +135,7 @@ impl Log {
             .is_some_and(|last| now.saturating_sub(last) > QUIET);
         if quiet {
             self.news = None;
-            log_refused(self.refused.take());
+            log_rejected(self.rejected.take());
         }
         quiet
     }
@@ -149,16 +149,16 @@ impl Log {
 }
 
 fn log_counters(done: &str, counters: &Counters) {
-    let refused = counters
-        .refusals()
+    let rejected = counters
+        .rejections()
         .fold(0_u32, |sum, (_, count)| sum.saturating_add(count));
     info!(
-        "{}: {} packages, {} packets, refused: {}, bytes of no packet: {}",
+        "{}: {} packages, {} packets, rejected: {}, bytes of no packet: {}",
         done,
         counters.packages(),
         counters.packets(),
-        refused,
+        rejected,
         counters.dropped()
     );
-    let _ = (done, refused);
+    let _ = (done, rejected);
 }

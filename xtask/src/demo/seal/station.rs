@@ -5,8 +5,8 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use mavlink::MavHeader;
 use mavlink::dialects::ardupilotmega::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavMessage};
-use mavlink_commsec::{Key, Message, OpenError, Opener, Packer, Sealer, SenderId};
-use mavseal_keys::Sender;
+use mavlink_commsec::{OpenError, Opener, Packer, Plaintext, Sealer, SealingKey, SenderId};
+use mavseal_keys::SenderKeys;
 
 use super::air::{Air, Arrived};
 use crate::demo::Row;
@@ -21,8 +21,8 @@ pub(super) struct Sealed {
 }
 
 /// A key, prepared.
-pub(super) fn key(sender: &Sender) -> Result<Key> {
-    Ok(Key::new(&*sender.key, sender.salt)?)
+pub(super) fn key(sender: &SenderKeys) -> Result<SealingKey> {
+    Ok(SealingKey::new(&*sender.key, sender.salt)?)
 }
 
 /// A ground station.
@@ -38,7 +38,7 @@ pub(super) struct Station {
 }
 
 impl Station {
-    pub(super) fn new(own: &Sender, vehicle: &Sender, seed: u64) -> Result<Self> {
+    pub(super) fn new(own: &SenderKeys, vehicle: &SenderKeys, seed: u64) -> Result<Self> {
         let id = own.id;
         let mut opener = Opener::new();
         opener.permit(key(vehicle)?, &[SenderId(vehicle.id)])?;
@@ -87,7 +87,7 @@ impl Station {
         self.seal(&message, packets)
     }
 
-    fn seal(&mut self, message: &Message, packets: Vec<u8>) -> Result<Sealed> {
+    fn seal(&mut self, message: &Plaintext, packets: Vec<u8>) -> Result<Sealed> {
         let counter = self.sealer.next_counter().context("a fresh key")?;
         let package = self.sealer.seal(message)?;
         Ok(Sealed {
@@ -111,7 +111,7 @@ impl Station {
             doubled,
         } = self.down.carry(sent);
         let mut last = self.opener.senders().map(|(_, last)| last).max();
-        let (mut accepted, mut refused) = (0, 0);
+        let (mut accepted, mut rejected) = (0, 0);
         for Sealed {
             counter,
             package,
@@ -128,39 +128,46 @@ impl Station {
                     }
                     last = Some(*counter);
                 }
-                Err(OpenError::Stale { .. }) if !fresh => refused += 1,
+                Err(OpenError::Stale { .. }) if !fresh => rejected += 1,
                 other => faults.push(format!("station {}: {counter}: {other:?}", self.id)),
             }
         }
-        if accepted + refused != packages.len() {
+        if accepted + rejected != packages.len() {
             faults.push(format!("station {}: other packets came out", self.id));
         }
         Row {
             name: name.to_owned(),
-            counts: [sent.len(), lost, doubled, packages.len(), accepted, refused],
-            because: if refused > 0 { "stale" } else { "" }.to_owned(),
+            counts: [
+                sent.len(),
+                lost,
+                doubled,
+                packages.len(),
+                accepted,
+                rejected,
+            ],
+            because: if rejected > 0 { "stale" } else { "" }.to_owned(),
         }
     }
 
-    /// Hands the station packages that it must refuse for this reason.
-    pub(super) fn refuse(
+    /// Hands the station packages that it must reject for this reason.
+    pub(super) fn reject(
         &mut self,
         name: &str,
         packages: &[Vec<u8>],
         because: &str,
         faults: &mut Vec<String>,
     ) -> Row<6> {
-        let mut refused = 0;
+        let mut rejected = 0;
         for package in packages {
             match self.opener.open(package) {
-                Err(error) if reason(&error) == because => refused += 1,
+                Err(error) if reason(&error) == because => rejected += 1,
                 other => faults.push(format!("station {}: {name}: {other:?}", self.id)),
             }
         }
         let sent = packages.len();
         Row {
             name: name.to_owned(),
-            counts: [sent, 0, 0, sent, sent - refused, refused],
+            counts: [sent, 0, 0, sent, sent - rejected, rejected],
             because: because.to_owned(),
         }
     }

@@ -14,7 +14,7 @@ use crate::demo::{Direction, Port};
 use crate::qemu::Machine;
 
 /// How long nothing may come while something is expected: this machine may be busy with other things.
-const PATIENCE: Duration = Duration::from_secs(20);
+const MAX_DELAY: Duration = Duration::from_secs(20);
 /// How long nothing has come when all has.
 const MOMENT: Duration = Duration::from_millis(300);
 
@@ -41,7 +41,7 @@ pub(super) const STATUS: radio::Status = radio::Status {
 pub(super) struct Start {
     /// The counter of its next package.
     pub(super) next: u32,
-    /// Of each sender, the counter up to which everything is refused.
+    /// Of each sender, the counter up to which everything is rejected.
     pub(super) above: BTreeMap<u32, u32>,
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Start {
 pub(super) struct Counted {
     pub(super) packages: usize,
     pub(super) packets: usize,
-    pub(super) refused: usize,
+    pub(super) rejected: usize,
     /// Bytes of no packet
     pub(super) dropped: usize,
 }
@@ -68,7 +68,7 @@ pub(super) struct Vehicle {
     pub(super) handed: Vec<u8>,
     pub(super) asked: usize,
     /// By direction: reasons one by one, and the last counts
-    pub(super) refused: [Vec<String>; 2],
+    pub(super) rejected: [Vec<String>; 2],
     pub(super) counted: [Counted; 2],
     /// Packages opened of each sender, as the firmware counts them
     pub(super) opened_of: BTreeMap<u32, usize>,
@@ -88,7 +88,7 @@ impl Vehicle {
             packages: Vec::new(),
             handed: Vec::new(),
             asked: 0,
-            refused: Default::default(),
+            rejected: Default::default(),
             counted: Default::default(),
             opened_of: BTreeMap::new(),
             faults: Vec::new(),
@@ -105,7 +105,7 @@ impl Vehicle {
         self.packages.clear();
         self.handed.clear();
         self.asked = 0;
-        self.refused = Default::default();
+        self.rejected = Default::default();
         self.counted = Default::default();
         self.opened_of.clear();
         self.start(stations)
@@ -116,7 +116,7 @@ impl Vehicle {
         let mut next = None;
         let mut start = Start::default();
         while next.is_none() || start.above.len() < stations {
-            let line = self.log.recv_timeout(PATIENCE);
+            let line = self.log.recv_timeout(MAX_DELAY);
             let line = line.context("the firmware does not say where it starts")?;
             if let Some((_, counter)) = line.split_once(" goes on at ") {
                 next = Some(counter.parse()?);
@@ -151,9 +151,9 @@ impl Vehicle {
     /// What only grows when something happens that does not happen every second anyhow: the radio is
     /// asked then, and its status told.
     fn news(&self) -> usize {
-        let refused: usize = self.refused.iter().map(Vec::len).sum();
+        let rejected: usize = self.rejected.iter().map(Vec::len).sum();
         let told = self.packages.len().saturating_sub(self.asked);
-        told + self.handed.len() + refused
+        told + self.handed.len() + rejected
     }
 
     /// The radio takes a byte from the vehicle.
@@ -161,16 +161,16 @@ impl Vehicle {
         let Some(frame) = self.decoder.push(byte) else {
             return Ok(());
         };
-        match frame.map(|frame| (frame.tag(), frame.payload())) {
-            Ok((hx::Tag::AirData, package)) => self.packages.push(package.to_vec()),
-            Ok((hx::Tag::Radio, bytes)) => {
+        match frame.map(|frame| (frame.kind(), frame.payload())) {
+            Ok((hx::FrameKind::AirData, package)) => self.packages.push(package.to_vec()),
+            Ok((hx::FrameKind::Radio, bytes)) => {
                 let request = radio::Request::from_wire(bytes);
                 ensure!(
                     request == Some(radio::Request::Status),
                     "asked of the radio: {bytes:02X?}"
                 );
                 self.asked += 1;
-                let answer = frame_of(hx::Tag::Radio, &STATUS.to_wire())?;
+                let answer = frame_of(hx::FrameKind::Radio, &STATUS.to_wire())?;
                 self.radio.send(answer)?;
             }
             Err(error) => self.faults.push(format!("the radio gets {error}")),
@@ -179,10 +179,10 @@ impl Vehicle {
     }
 
     fn said(&mut self, line: String) -> Result<()> {
-        let directions = [Direction::PlainToSecure, Direction::SecureToPlain];
-        for (direction, refused) in directions.into_iter().zip(&mut self.refused) {
-            if let Some((reason, times)) = direction.refusals(&line) {
-                refused.extend(vec![reason; times]);
+        let directions = [Direction::Outbound, Direction::Inbound];
+        for (direction, rejected) in directions.into_iter().zip(&mut self.rejected) {
+            if let Some((reason, times)) = direction.rejections(&line) {
+                rejected.extend(vec![reason; times]);
             }
         }
         for (name, counted) in ["sealed: ", "opened: "].iter().zip(&mut self.counted) {
@@ -190,13 +190,13 @@ impl Vehicle {
                 let numbers = counts.split(|c: char| !c.is_ascii_digit());
                 let numbers = numbers.filter(|number| !number.is_empty());
                 let numbers = numbers.map(str::parse).collect::<Result<Vec<_>, _>>()?;
-                let [packages, packets, refused, dropped] = numbers[..] else {
+                let [packages, packets, rejected, dropped] = numbers[..] else {
                     bail!("the firmware counts so: {line}");
                 };
                 *counted = Counted {
                     packages,
                     packets,
-                    refused,
+                    rejected,
                     dropped,
                 };
             }
@@ -226,7 +226,7 @@ impl Vehicle {
             let wait = if written && done(self) {
                 MOMENT
             } else {
-                PATIENCE
+                MAX_DELAY
             };
             if last.elapsed() >= wait {
                 if !written {
@@ -246,6 +246,6 @@ impl Vehicle {
 }
 
 /// The bytes of a frame on the line.
-pub(super) fn frame_of(tag: hx::Tag, payload: &[u8]) -> Result<Vec<u8>> {
+pub(super) fn frame_of(tag: hx::FrameKind, payload: &[u8]) -> Result<Vec<u8>> {
     Ok(hx::Frame::new(tag, payload)?.encode().collect())
 }

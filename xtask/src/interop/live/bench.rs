@@ -1,4 +1,4 @@
-//! The signer in QEMU with a vehicle at its plain side, and whoever else takes part.
+//! The signer in QEMU with a vehicle at its local side, and whoever else takes part.
 
 use std::{
     io::{BufRead, BufReader, Write},
@@ -15,12 +15,12 @@ use super::bridge;
 use crate::{qemu::Machine, setup::root};
 
 /// How long to wait for anything; a loaded machine is slow.
-const PATIENCE: Duration = Duration::from_secs(120);
+const MAX_DELAY: Duration = Duration::from_secs(120);
 
 /// The signer, and the vehicle.
 pub(super) struct Bench {
     /// The TCP port for a ground station.
-    pub(super) secure: u16,
+    pub(super) link: u16,
     pub(super) vehicle: Process,
     log: Receiver<String>,
     seen: Vec<String>,
@@ -29,15 +29,15 @@ pub(super) struct Bench {
 
 impl Bench {
     pub(super) fn boot(python: &Path, elf: &Path) -> Result<Self> {
-        let (machine, [plain, secure], log) = Machine::boot_between(elf)?;
+        let (machine, [local, link], log) = Machine::boot_between(elf)?;
         // It speaks when its clock is set and its ports are open.
-        let hello = log.recv_timeout(PATIENCE);
+        let hello = log.recv_timeout(MAX_DELAY);
         let hello = hello.context("the firmware says nothing")?;
-        let plain = bridge::open(plain)?;
+        let local = bridge::open(local)?;
         let mut vehicle = script(python, "vehicle.py");
-        vehicle.arg(plain.to_string());
+        vehicle.arg(local.to_string());
         Ok(Self {
-            secure: bridge::open(secure)?,
+            link: bridge::open(link)?,
             vehicle: Process::start(&mut vehicle)?,
             log,
             seen: vec![hello],
@@ -62,7 +62,7 @@ impl Bench {
         self.vehicle.wait_for("{")
     }
 
-    /// Reads the log until nothing comes: refusals and counters do a second after the last byte.
+    /// Reads the log until nothing comes: rejections and counters do a second after the last byte.
     fn listen(&mut self) {
         while let Ok(line) = self.log.recv_timeout(Duration::from_secs(6)) {
             self.seen.push(line);
@@ -70,14 +70,14 @@ impl Bench {
     }
 
     /// The last of the counters that the firmware logs when nothing moves any more: how many frames
-    /// it has `passed`, signed or verified, and how many refused.
+    /// it has `passed`, signed or verified, and how many rejected.
     pub(super) fn counters(&mut self, passed: &str) -> Result<(usize, usize)> {
         self.listen();
         let counters = self.seen.iter().rev().find_map(|line| {
             let said = line.strip_prefix(&format!("[INFO ] {passed}: "))?;
-            let (count, rest) = said.split_once(", refused: ")?;
-            let (refused, _) = rest.split_once(',')?;
-            Some((count.parse().ok()?, refused.parse().ok()?))
+            let (count, rest) = said.split_once(", rejected: ")?;
+            let (rejected, _) = rest.split_once(',')?;
+            Some((count.parse().ok()?, rejected.parse().ok()?))
         });
         counters.with_context(|| format!("the firmware has not logged what it {passed}"))
     }
@@ -121,7 +121,7 @@ impl Process {
     pub(super) fn wait_for(&mut self, part: &str) -> Result<String> {
         let start = Instant::now();
         let mut said = String::new();
-        while let Some(left) = PATIENCE.checked_sub(start.elapsed()) {
+        while let Some(left) = MAX_DELAY.checked_sub(start.elapsed()) {
             let Ok(line) = self.lines.recv_timeout(left) else {
                 break;
             };
@@ -146,7 +146,7 @@ impl Process {
     /// Closes its input and waits until it has ended, which shows in its output.
     pub(super) fn end(&mut self) -> Result<()> {
         self.close_input();
-        while self.lines.recv_timeout(PATIENCE).is_ok() {}
+        while self.lines.recv_timeout(MAX_DELAY).is_ok() {}
         self.child.wait().map(drop).context("it does not end")
     }
 }

@@ -2,7 +2,8 @@
 
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
-    KEY_SIZE, KeyChange, KeyChangeError, KeyStore, Keys, NotStored, Phase, Profile, SigningKey,
+    KEY_SIZE, KeyChange, KeyChangeError, KeyRing, KeyStore, NotStored, Profile, RolloverState,
+    SigningKey,
 };
 use mavseal_store::{Journal, OpenError, Region};
 use zeroize::Zeroizing;
@@ -14,16 +15,16 @@ pub const KEYS_SIZE: usize = PHASE_SIZE + 2 * KEY_SIZE;
 
 type Record = [u8; KEYS_SIZE];
 
-/// The keys of one end of a link in flash: [`Keys`] over a restart.
+/// The keys of one end of a link in flash: [`KeyRing`] over a restart.
 ///
 /// Whoever can read the flash has the keys: protect it as the part allows. A key that is given up is erased; if
 /// the power fails meanwhile, at the next start.
 #[derive(Debug)]
-pub struct KeySlots<F> {
+pub struct FlashKeyStore<F> {
     journal: Journal<F, KEYS_SIZE>,
 }
 
-impl<F: NorFlash> KeySlots<F> {
+impl<F: NorFlash> FlashKeyStore<F> {
     /// The slots in `region` of `flash`, and the keys that they hold; `None` if they are
     /// [empty](KeySlots::is_empty), or hold something that cannot be relied on: nothing is signed or accepted
     /// then.
@@ -37,7 +38,7 @@ impl<F: NorFlash> KeySlots<F> {
     pub fn open<P: Profile>(
         flash: F,
         region: Region,
-    ) -> Result<(Self, Option<Keys<P>>), OpenError> {
+    ) -> Result<(Self, Option<KeyRing<P>>), OpenError> {
         let (journal, stored) = Journal::open(flash, region)?;
         let mut slots = Self { journal };
         let Some(record) = stored.map(Zeroizing::new) else {
@@ -49,7 +50,7 @@ impl<F: NorFlash> KeySlots<F> {
         let keys = keys.filter(|_| slots.journal.append(&record).is_ok());
         if keys
             .as_ref()
-            .is_some_and(|keys| keys.phase() == Phase::Settled)
+            .is_some_and(|keys| keys.rollover_state() == RolloverState::Settled)
         {
             // If it fails, the next start tries again.
             let _ = slots.journal.forget();
@@ -66,9 +67,9 @@ impl<F: NorFlash> KeySlots<F> {
     pub fn provision<P: Profile>(
         &mut self,
         key: &[u8; KEY_SIZE],
-    ) -> Result<Keys<P>, KeyChangeError> {
+    ) -> Result<KeyRing<P>, KeyChangeError> {
         let keys = SigningKey::new(key)?.into();
-        self.settle(&record(Phase::Settled, key, &[0; KEY_SIZE]))?;
+        self.settle(&record(RolloverState::Settled, key, &[0; KEY_SIZE]))?;
         Ok(keys)
     }
 
@@ -91,32 +92,32 @@ impl<F: NorFlash> KeySlots<F> {
     }
 }
 
-impl<F: NorFlash> KeyStore for KeySlots<F> {
+impl<F: NorFlash> KeyStore for FlashKeyStore<F> {
     fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored> {
         let stored = Zeroizing::new(self.journal.newest().ok_or(NotStored)?);
         let (found, old, new) = split(&stored).ok_or(NotStored)?;
         let none = [0; KEY_SIZE];
         let next = match change {
             KeyChange::Begin(key, phase) => record(phase, old, key),
-            _ if found == Phase::Settled => return Err(NotStored),
-            KeyChange::Confirm => record(Phase::Confirmed, old, new),
-            KeyChange::Retire => return self.settle(&record(Phase::Settled, new, &none)),
-            KeyChange::Withdraw => return self.settle(&record(Phase::Settled, old, &none)),
+            _ if found == RolloverState::Settled => return Err(NotStored),
+            KeyChange::Confirm => record(RolloverState::Confirmed, old, new),
+            KeyChange::Retire => return self.settle(&record(RolloverState::Settled, new, &none)),
+            KeyChange::Withdraw => return self.settle(&record(RolloverState::Settled, old, &none)),
         };
         self.journal.append(&next).map_err(|_| NotStored)
     }
 }
 
-const fn code(phase: Phase) -> u8 {
+const fn code(phase: RolloverState) -> u8 {
     match phase {
-        Phase::Settled => 1,
-        Phase::Offered => 2,
-        Phase::Applied => 3,
-        Phase::Confirmed => 4,
+        RolloverState::Settled => 1,
+        RolloverState::Offered => 2,
+        RolloverState::Applied => 3,
+        RolloverState::Confirmed => 4,
     }
 }
 
-fn record(phase: Phase, old: &[u8; KEY_SIZE], new: &[u8; KEY_SIZE]) -> Zeroizing<Record> {
+fn record(phase: RolloverState, old: &[u8; KEY_SIZE], new: &[u8; KEY_SIZE]) -> Zeroizing<Record> {
     let mut record = Zeroizing::new([0; KEYS_SIZE]);
     let first = [code(phase), 0, 0, 0, 0, 0, 0, 0];
     let parts = first.iter().chain(old).chain(new);
@@ -126,24 +127,24 @@ fn record(phase: Phase, old: &[u8; KEY_SIZE], new: &[u8; KEY_SIZE]) -> Zeroizing
     record
 }
 
-fn split(record: &Record) -> Option<(Phase, &[u8; KEY_SIZE], &[u8; KEY_SIZE])> {
+fn split(record: &Record) -> Option<(RolloverState, &[u8; KEY_SIZE], &[u8; KEY_SIZE])> {
     let (&[first, ..], rest) = record.split_first_chunk::<PHASE_SIZE>()?;
     let (old, rest) = rest.split_first_chunk()?;
     let phases = [
-        Phase::Settled,
-        Phase::Offered,
-        Phase::Applied,
-        Phase::Confirmed,
+        RolloverState::Settled,
+        RolloverState::Offered,
+        RolloverState::Applied,
+        RolloverState::Confirmed,
     ];
     let phase = phases.into_iter().find(|phase| code(*phase) == first)?;
     Some((phase, old, rest.first_chunk()?))
 }
 
-fn keys<P: Profile>(record: &Record) -> Option<Keys<P>> {
+fn keys<P: Profile>(record: &Record) -> Option<KeyRing<P>> {
     let (phase, old, new) = split(record)?;
     let old = SigningKey::new(old).ok()?;
-    if phase == Phase::Settled {
+    if phase == RolloverState::Settled {
         return Some(old.into());
     }
-    Some(Keys::resume(old, SigningKey::new(new).ok()?, phase))
+    Some(KeyRing::resume(old, SigningKey::new(new).ok()?, phase))
 }

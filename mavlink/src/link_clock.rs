@@ -1,7 +1,7 @@
 //! One end of a link in time: its clock, and its memory of what was used before a restart.
 
+use crate::anti_replay::AntiReplay;
 use crate::error::{SignError, VerifyError};
-use crate::replay::Admit;
 use crate::time::{Stamp, Stamper, Timestamp};
 use crate::verify::{Authentic, Verified};
 
@@ -13,13 +13,13 @@ pub struct NotStored;
 /// What both directions of a link share: the time, and a mark that survives a restart.
 ///
 /// Any `FnMut() -> Timestamp` is one that remembers nothing, and so is a [`Timestamp`], which stands still.
-pub trait Timekeeper {
+pub trait LinkClock {
     /// The time now.
     fn now(&mut self) -> Timestamp;
 
-    /// The moment to hold `stamp` against, of an authentic frame that may be refused yet. See
-    /// [`Clock::judged_at`](crate::Clock::judged_at).
-    fn judged_at(&mut self, stamp: Timestamp) -> Timestamp {
+    /// The moment to hold `stamp` against, of an authentic frame that may be rejected yet. See
+    /// [`Clock::reference_time`](crate::Clock::judged_at).
+    fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
         let _ = stamp;
         self.now()
     }
@@ -35,7 +35,7 @@ pub trait Timekeeper {
     }
 
     /// Learns from a frame that was accepted.
-    fn heard(&mut self, frame: &Verified<'_>) {
+    fn on_accepted(&mut self, frame: &Verified<'_>) {
         let _ = frame;
     }
 
@@ -43,7 +43,7 @@ pub trait Timekeeper {
     ///
     /// # Errors
     ///
-    /// [`SignError::ClockExhausted`], [`SignError::NotStored`]; no stamp has been used up then.
+    /// [`SignError::TimestampsExhausted`], [`SignError::NotStored`]; no stamp has been used up then.
     fn stamp(&mut self, stamper: &mut Stamper) -> Result<Stamp, SignError> {
         let now = self.now();
         self.reserve(stamper.next(now)?.timestamp)?;
@@ -54,30 +54,30 @@ pub trait Timekeeper {
     ///
     /// # Errors
     ///
-    /// Those of [`Admit::admit`], and [`VerifyError::NotStored`]; nothing has changed then, nor been
+    /// Those of [`AntiReplay::admit`], and [`VerifyError::NotStored`]; nothing has changed then, nor been
     /// stored but for a frame that would be accepted.
-    fn admit<'a, R: Admit>(
+    fn admit<'a, R: AntiReplay>(
         &mut self,
         receiver: &mut R,
         frame: Authentic<'a>,
     ) -> Result<Verified<'a>, VerifyError> {
         let stamp = frame.stamp().timestamp;
-        let now = self.judged_at(stamp);
+        let now = self.reference_time(stamp);
         receiver.check(&frame, now)?;
         self.reserve(stamp)?;
         let verified = receiver.admit(frame, now)?;
-        self.heard(&verified);
+        self.on_accepted(&verified);
         Ok(verified)
     }
 }
 
-impl<F: FnMut() -> Timestamp> Timekeeper for F {
+impl<F: FnMut() -> Timestamp> LinkClock for F {
     fn now(&mut self) -> Timestamp {
         self()
     }
 }
 
-impl Timekeeper for Timestamp {
+impl LinkClock for Timestamp {
     fn now(&mut self) -> Timestamp {
         *self
     }

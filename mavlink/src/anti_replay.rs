@@ -5,36 +5,36 @@ use crate::frame::FrameRef;
 use crate::time::{Fresh, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
-/// What decides whether an authentic frame comes in time and order: [`Replay`] for one stream,
-/// [`Streams`](crate::Streams) for several.
-pub trait Admit {
-    /// Lets `frame` through, or says why not; a refused frame changes nothing.
+/// What decides whether an authentic frame comes in time and order: [`ReplayGuard`] for one stream,
+/// [`StreamTable`](crate::StreamTable) for several.
+pub trait AntiReplay {
+    /// Lets `frame` through, or says why not; a rejected frame changes nothing.
     ///
     /// # Errors
     ///
-    /// Those of [`Replay::admit`], and [`VerifyError::StreamsFull`].
+    /// Those of [`ReplayGuard::admit`], and [`VerifyError::StreamsFull`].
     fn admit<'a>(
         &mut self,
         frame: Authentic<'a>,
         now: Timestamp,
     ) -> Result<Verified<'a>, VerifyError>;
 
-    /// The verdict that [`Admit::admit`] would give; nothing changes.
+    /// The verdict that [`AntiReplay::admit`] would give; nothing changes.
     ///
     /// # Errors
     ///
-    /// As [`Admit::admit`].
+    /// As [`AntiReplay::admit`].
     fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError>;
 
-    /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back.
-    fn sent(&mut self, frame: FrameRef<'_>);
+    /// Remembers a frame that this end has signed and sends, so that it is rejected when it comes back.
+    fn record_sent(&mut self, frame: FrameRef<'_>);
 
-    /// Whether a frame that this end sends for `link_id`, and tells [of](Admit::sent), is refused when
+    /// Whether a frame that this end sends for `link_id`, and tells [of](AntiReplay::record_sent), is rejected when
     /// it comes back.
-    fn refuses_own(&self, link_id: u8) -> bool;
+    fn rejects_own(&self, link_id: u8) -> bool;
 }
 
-impl Admit for Replay {
+impl AntiReplay for ReplayGuard {
     fn admit<'a>(
         &mut self,
         frame: Authentic<'a>,
@@ -47,9 +47,9 @@ impl Admit for Replay {
         Self::check(self, frame, now)
     }
 
-    fn sent(&mut self, _frame: FrameRef<'_>) {}
+    fn record_sent(&mut self, _frame: FrameRef<'_>) {}
 
-    fn refuses_own(&self, link_id: u8) -> bool {
+    fn rejects_own(&self, link_id: u8) -> bool {
         link_id != self.link_id()
     }
 }
@@ -62,9 +62,9 @@ impl Admit for Replay {
 /// [`VerifyError::WrongLink`].
 #[derive(Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Replay(ReplayState);
+pub struct ReplayGuard(ReplayState);
 
-/// A [`Replay`]'s contents, for the cell that shares it.
+/// A [`ReplayGuard`]'s contents, for the cell that shares it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub(crate) struct ReplayState {
@@ -73,7 +73,7 @@ pub(crate) struct ReplayState {
     fresh: Fresh,
 }
 
-impl Replay {
+impl ReplayGuard {
     /// A stream on `link_id` of which nothing has been accepted yet.
     #[must_use]
     pub const fn new(link_id: u8, window: Window) -> Self {
@@ -111,7 +111,7 @@ impl Replay {
         self.0.window
     }
 
-    /// The timestamp up to which everything is refused; `None` at the start.
+    /// The timestamp up to which everything is rejected; `None` at the start.
     #[must_use]
     pub const fn last(&self) -> Option<Timestamp> {
         self.0.fresh.used()
@@ -134,11 +134,11 @@ impl Replay {
         Ok(Verified::new(frame))
     }
 
-    /// The verdict that [`Replay::admit`] would give; nothing changes.
+    /// The verdict that [`ReplayGuard::admit`] would give; nothing changes.
     ///
     /// # Errors
     ///
-    /// As [`Replay::admit`].
+    /// As [`ReplayGuard::admit`].
     pub fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
         let stamp = frame.stamp();
         if stamp.link_id != self.0.link_id {

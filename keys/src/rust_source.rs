@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 use zeroize::Zeroizing;
 
 use crate::error::KeyFileError;
-use crate::file::{Header, KeyFile, Sender};
+use crate::file::{HeaderKind, KeyFile, SenderKeys};
 
 /// Whose image it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Who {
+pub enum Role {
     /// The vehicle's: it hears every station.
     Vehicle,
     /// That of the station with this id: it hears the vehicle.
@@ -24,10 +24,10 @@ impl KeyFile {
     /// # Errors
     ///
     /// [`KeyFileError::NoStation`].
-    pub fn constants(&self, who: Who) -> Result<Zeroizing<String>, KeyFileError> {
+    pub fn to_rust_source(&self, who: Role) -> Result<Zeroizing<String>, KeyFileError> {
         let (own, peers) = match who {
-            Who::Vehicle => (self.vehicle(), self.stations()),
-            Who::Station(id) => {
+            Role::Vehicle => (self.vehicle(), self.stations()),
+            Role::Station(id) => {
                 let mut stations = self.stations().iter();
                 let own = stations.find(|station| station.id == id);
                 let own = own.ok_or(KeyFileError::NoStation(id))?;
@@ -37,8 +37,8 @@ impl KeyFile {
         // Room for all of it, so that no copy is left behind where it would have to grow.
         let mut text = Zeroizing::new(String::with_capacity(512 * (2 + peers.len())));
         let (kind, id) = match self.header() {
-            Header::IdCounter => ("Credential", "SenderId"),
-            Header::CounterEpochId => (
+            HeaderKind::IdCounter => ("Credential", "SenderId"),
+            HeaderKind::CounterEpochId => (
                 "Credential<::mavlink_commsec::EpochSenderId>",
                 "EpochSenderId",
             ),
@@ -64,8 +64,8 @@ impl KeyFile {
     }
 }
 
-fn credential(text: &mut String, sender: &Sender, kind: &str, indent: &str) {
-    let Sender { id, key, salt } = sender;
+fn credential(text: &mut String, sender: &SenderKeys, kind: &str, indent: &str) {
+    let SenderKeys { id, key, salt } = sender;
     let _ = write!(
         text,
         "::mavlink_commsec::Credential {{\n\

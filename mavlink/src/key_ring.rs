@@ -6,15 +6,15 @@ use subtle::ConstantTimeEq;
 
 use crate::error::{KeyError, VerifyError};
 use crate::frame::FrameRef;
-use crate::keeper::NotStored;
 use crate::key::{KEY_SIZE, SigningKey};
+use crate::link_clock::NotStored;
 use crate::profile::Profile;
 use crate::verify::{Authentic, Verified, authenticate};
 
 /// How far a change of key has come at one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Phase {
+pub enum RolloverState {
     /// One key. No change is under way.
     Settled,
     /// This end has sent a new key to the other, and does not know whether it arrived: it signs with the
@@ -29,13 +29,13 @@ pub enum Phase {
 /// What is to be stored of a change of key, before it has any effect.
 #[derive(Clone, Copy)]
 pub enum KeyChange<'a> {
-    /// A new key beside the one in use, in phase [`Phase::Offered`] or [`Phase::Applied`].
-    Begin(&'a [u8; KEY_SIZE], Phase),
-    /// [`Phase::Confirmed`]; the keys stay.
+    /// A new key beside the one in use, in phase [`RolloverState::Offered`] or [`RolloverState::Applied`].
+    Begin(&'a [u8; KEY_SIZE], RolloverState),
+    /// [`RolloverState::Confirmed`]; the keys stay.
     Confirm,
-    /// [`Phase::Settled`] with the new key; the old one is to be erased.
+    /// [`RolloverState::Settled`] with the new key; the old one is to be erased.
     Retire,
-    /// [`Phase::Settled`] with the old key; the new one is to be erased.
+    /// [`RolloverState::Settled`] with the old key; the new one is to be erased.
     Withdraw,
 }
 
@@ -52,7 +52,7 @@ impl fmt::Debug for KeyChange<'_> {
 
 /// Where keys are kept over a restart.
 pub trait KeyStore {
-    /// Stores `change`. After a restart, [`Keys`] are resumed in the state after it.
+    /// Stores `change`. After a restart, [`KeyRing`] are resumed in the state after it.
     ///
     /// # Errors
     ///
@@ -110,7 +110,7 @@ impl core::error::Error for KeyChangeError {
     }
 }
 
-/// What frames are authenticated with: one key, or the [`Keys`] of a change.
+/// What frames are authenticated with: one key, or the [`KeyRing`] of a change.
 pub trait Authenticate {
     /// [`authenticate`] with any of the keys.
     ///
@@ -120,7 +120,7 @@ pub trait Authenticate {
     fn authenticate<'a>(&self, frame: FrameRef<'a>) -> Result<Authentic<'a>, VerifyError>;
 
     /// Learns from a frame that was accepted.
-    fn heard(&mut self, frame: &Verified<'_>) {
+    fn on_accepted(&mut self, frame: &Verified<'_>) {
         let _ = frame;
     }
 }
@@ -148,32 +148,32 @@ impl<P: Profile> Authenticate for &SigningKey<P> {
 /// ```
 ///
 /// Each end accepts at every moment what the other signs with, whatever is lost on the way and wherever
-/// the power fails. An old key is dropped by [`Keys::retire`] alone, never by a timeout, and only once the
+/// the power fails. An old key is dropped by [`KeyRing::retire`] alone, never by a timeout, and only once the
 /// other end was heard with the new one. Every step is stored before it has an effect.
 ///
 /// Stamps go on across the change, so that one receiver serves both keys.
-pub struct Keys<P> {
+pub struct KeyRing<P> {
     /// The key that was in use before the change, or the only one.
     old: SigningKey<P>,
     /// The new one, unless `Settled`.
     new: Option<SigningKey<P>>,
-    phase: Phase,
+    phase: RolloverState,
     /// A frame with the new key was accepted.
     heard: bool,
 }
 
-impl<P: Profile> From<SigningKey<P>> for Keys<P> {
+impl<P: Profile> From<SigningKey<P>> for KeyRing<P> {
     fn from(key: SigningKey<P>) -> Self {
         Self {
             old: key,
             new: None,
-            phase: Phase::Settled,
+            phase: RolloverState::Settled,
             heard: false,
         }
     }
 }
 
-impl<P: Profile> Authenticate for Keys<P> {
+impl<P: Profile> Authenticate for KeyRing<P> {
     fn authenticate<'a>(&self, frame: FrameRef<'a>) -> Result<Authentic<'a>, VerifyError> {
         let verdict = authenticate(frame, self.signing());
         match (self.other(), &verdict) {
@@ -182,8 +182,8 @@ impl<P: Profile> Authenticate for Keys<P> {
         }
     }
 
-    fn heard(&mut self, frame: &Verified<'_>) {
-        let unconfirmed = matches!(self.phase, Phase::Offered | Phase::Applied);
+    fn on_accepted(&mut self, frame: &Verified<'_>) {
+        let unconfirmed = matches!(self.phase, RolloverState::Offered | RolloverState::Applied);
         if let Some(new) = self.new.as_ref().filter(|_| unconfirmed && !self.heard) {
             let frame = FrameRef::parse(frame.as_bytes());
             self.heard = frame.is_ok_and(|frame| authenticate(frame, new).is_ok());
@@ -191,13 +191,13 @@ impl<P: Profile> Authenticate for Keys<P> {
     }
 }
 
-impl<P: Profile> Keys<P> {
-    /// Two keys in the middle of a change, as they were stored. With [`Phase::Settled`], `new` is dropped.
+impl<P: Profile> KeyRing<P> {
+    /// Two keys in the middle of a change, as they were stored. With [`RolloverState::Settled`], `new` is dropped.
     #[must_use]
-    pub fn resume(old: SigningKey<P>, new: SigningKey<P>, phase: Phase) -> Self {
+    pub fn resume(old: SigningKey<P>, new: SigningKey<P>, phase: RolloverState) -> Self {
         Self {
             old,
-            new: (phase != Phase::Settled).then_some(new),
+            new: (phase != RolloverState::Settled).then_some(new),
             phase,
             heard: false,
         }
@@ -205,7 +205,7 @@ impl<P: Profile> Keys<P> {
 
     /// How far a change has come.
     #[must_use]
-    pub const fn phase(&self) -> Phase {
+    pub const fn rollover_state(&self) -> RolloverState {
         self.phase
     }
 
@@ -213,7 +213,7 @@ impl<P: Profile> Keys<P> {
     #[must_use]
     pub fn signing(&self) -> &SigningKey<P> {
         match (&self.new, self.phase) {
-            (Some(new), Phase::Applied | Phase::Confirmed) => new,
+            (Some(new), RolloverState::Applied | RolloverState::Confirmed) => new,
             _ => &self.old,
         }
     }
@@ -221,9 +221,9 @@ impl<P: Profile> Keys<P> {
     /// The key that is accepted besides.
     fn other(&self) -> Option<&SigningKey<P>> {
         match self.phase {
-            Phase::Settled => None,
-            Phase::Offered => self.new.as_ref(),
-            Phase::Applied | Phase::Confirmed => Some(&self.old),
+            RolloverState::Settled => None,
+            RolloverState::Offered => self.new.as_ref(),
+            RolloverState::Applied | RolloverState::Confirmed => Some(&self.old),
         }
     }
 
@@ -242,11 +242,11 @@ impl<P: Profile> Keys<P> {
         if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
             return Ok(());
         }
-        if self.phase != Phase::Settled {
+        if self.phase != RolloverState::Settled {
             return Err(KeyChangeError::UnderWay);
         }
-        store.store(KeyChange::Begin(key, Phase::Offered))?;
-        self.begin(new, Phase::Offered);
+        store.store(KeyChange::Begin(key, RolloverState::Offered))?;
+        self.begin(new, RolloverState::Offered);
         Ok(())
     }
 
@@ -268,28 +268,28 @@ impl<P: Profile> Keys<P> {
         let new = SigningKey::new(key)?;
         if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
             // Otherwise two ends that were both told to offer it would wait for each other.
-            if self.phase == Phase::Offered {
-                store.store(KeyChange::Begin(key, Phase::Applied))?;
-                self.phase = Phase::Applied;
+            if self.phase == RolloverState::Offered {
+                store.store(KeyChange::Begin(key, RolloverState::Applied))?;
+                self.phase = RolloverState::Applied;
             }
             return Ok(());
         }
-        if self.phase == Phase::Applied && !self.heard && same(&new, &self.old) {
+        if self.phase == RolloverState::Applied && !self.heard && same(&new, &self.old) {
             store.store(KeyChange::Withdraw)?;
             *self = Self::from(new);
             return Ok(());
         }
-        if self.phase != Phase::Settled {
+        if self.phase != RolloverState::Settled {
             return Err(KeyChangeError::UnderWay);
         }
-        store.store(KeyChange::Begin(key, Phase::Applied))?;
-        self.begin(new, Phase::Applied);
+        store.store(KeyChange::Begin(key, RolloverState::Applied))?;
+        self.begin(new, RolloverState::Applied);
         Ok(())
     }
 
-    /// Whether [`Keys::confirm`] is due: the other end was heard with the new key.
+    /// Whether [`KeyRing::confirm`] is due: the other end was heard with the new key.
     #[must_use]
-    pub const fn is_heard(&self) -> bool {
+    pub const fn confirm_pending(&self) -> bool {
         self.heard
     }
 
@@ -301,7 +301,7 @@ impl<P: Profile> Keys<P> {
     pub fn confirm(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
         if self.heard {
             store.store(KeyChange::Confirm)?;
-            self.phase = Phase::Confirmed;
+            self.phase = RolloverState::Confirmed;
             self.heard = false;
         }
         Ok(())
@@ -313,7 +313,7 @@ impl<P: Profile> Keys<P> {
     ///
     /// [`KeyChangeError::NotConfirmed`], [`KeyChangeError::NotStored`].
     pub fn retire(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
-        if self.phase != Phase::Confirmed {
+        if self.phase != RolloverState::Confirmed {
             return Err(KeyChangeError::NotConfirmed);
         }
         store.store(KeyChange::Retire)?;
@@ -323,7 +323,7 @@ impl<P: Profile> Keys<P> {
         Ok(())
     }
 
-    /// Drops the key that was offered, for instance because the other end refuses it.
+    /// Drops the key that was offered, for instance because the other end rejects it.
     ///
     /// Send the old key to the other end then: if it had taken over the new one all the same, this end does
     /// not hear it until it is back at the old one, which it still accepts. Do not offer the same key again.
@@ -332,16 +332,16 @@ impl<P: Profile> Keys<P> {
     ///
     /// [`KeyChangeError::NotOffered`], [`KeyChangeError::NotStored`].
     pub fn withdraw(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
-        if self.phase != Phase::Offered || self.heard {
+        if self.phase != RolloverState::Offered || self.heard {
             return Err(KeyChangeError::NotOffered);
         }
         store.store(KeyChange::Withdraw)?;
         self.new = None;
-        self.phase = Phase::Settled;
+        self.phase = RolloverState::Settled;
         Ok(())
     }
 
-    fn begin(&mut self, new: SigningKey<P>, phase: Phase) {
+    fn begin(&mut self, new: SigningKey<P>, phase: RolloverState) {
         self.new = Some(new);
         self.phase = phase;
         self.heard = false;
@@ -356,9 +356,9 @@ fn same<P: Profile>(one: &SigningKey<P>, other: &SigningKey<P>) -> bool {
         .all(|text| bool::from(one.tag(*text).ct_eq(&other.tag(*text))))
 }
 
-impl<P> fmt::Debug for Keys<P> {
+impl<P> fmt::Debug for KeyRing<P> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Keys")
+        f.debug_struct("KeyRing")
             .field("phase", &self.phase)
             .finish_non_exhaustive()
     }

@@ -4,10 +4,10 @@ use core::fmt;
 
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
-    Clock, NotStored, RESERVATION, Source, Stamper, Sync, TICKS_PER_SECOND, Timekeeper, Timestamp,
-    Verified, Window,
+    Clock, LinkClock, NotStored, RESERVATION, Stamper, SyncState, TICKS_PER_SECOND, TimeSource,
+    Timestamp, Verified, Window,
 };
-use mavseal_store::{Mark, OpenError, Region};
+use mavseal_store::{HighWaterMark, OpenError, Region};
 
 /// How far beyond the timestamps in use the first mark after a restart is stored: 10 milliseconds, in ticks
 /// of 10 microseconds. No end starts again as fast.
@@ -17,7 +17,7 @@ pub const FIRST_RESERVATION: u64 = TICKS_PER_SECOND / 100;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum KeptError {
+pub enum PersistentClockError {
     /// The flash cannot hold a mark.
     Open(OpenError),
     /// The mark is behind the last 48-bit timestamp: only a new key helps, and to erase the mark with the
@@ -25,13 +25,13 @@ pub enum KeptError {
     Exhausted,
 }
 
-impl From<OpenError> for KeptError {
+impl From<OpenError> for PersistentClockError {
     fn from(error: OpenError) -> Self {
         Self::Open(error)
     }
 }
 
-impl fmt::Display for KeptError {
+impl fmt::Display for PersistentClockError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Open(error) => error.fmt(f),
@@ -41,23 +41,23 @@ impl fmt::Display for KeptError {
 }
 
 /// A trusted source told a time that has passed: this end has used or accepted timestamps more than the
-/// [`RESERVATION`] and the window of [`Window::LINK`] behind which it lies. Either the source is wrong, such as a
+/// [`RESERVATION`] and the window of [`Window::ONE_MINUTE`] behind which it lies. Either the source is wrong, such as a
 /// real-time clock without a battery, or a wrong one was believed before.
 ///
 /// The clock is as it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct BehindMark;
+pub struct TimeBehindMark;
 
-impl fmt::Display for BehindMark {
+impl fmt::Display for TimeBehindMark {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("the time told has passed: later timestamps have been used")
     }
 }
 
-impl core::error::Error for BehindMark {}
+impl core::error::Error for TimeBehindMark {}
 
-impl core::error::Error for KeptError {
+impl core::error::Error for PersistentClockError {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         match self {
             Self::Open(error) => Some(error),
@@ -66,20 +66,20 @@ impl core::error::Error for KeptError {
     }
 }
 
-/// A [`Clock`] on a timer, and a [`Mark`] above every timestamp that this end has used or accepted.
+/// A [`Clock`] on a timer, and a [`HighWaterMark`] above every timestamp that this end has used or accepted.
 ///
 /// After a restart, stamps begin at the mark, and no frame from before it is accepted, of no stream:
 ///
 /// ```
-/// use mavlink_signing::{Replay, Window};
-/// use mavseal_relay::Kept;
+/// use mavlink_signing::{ReplayGuard, Window};
+/// use mavseal_relay::PersistentClock;
 /// use mavseal_store::{Region, model::Flash};
 ///
 /// let region = Region { start: 0, page_size: 2048 };
-/// let kept = Kept::new(Flash::<2>::default(), region, || 0)?;
+/// let kept = PersistentClock::new(Flash::<2>::default(), region, || 0)?;
 /// let stamper = kept.stamper(1);
-/// let receiver = Replay::resume(2, Window::LINK, kept.floor());
-/// # Ok::<(), mavseal_relay::KeptError>(())
+/// let receiver = ReplayGuard::resume(2, Window::ONE_MINUTE, kept.floor());
+/// # Ok::<(), mavseal_relay::PersistentClockError>(())
 /// ```
 ///
 /// A mark is stored ahead of what is used by an eighth of the time since the restart, at least
@@ -90,27 +90,27 @@ impl core::error::Error for KeptError {
 /// The clock begins a reservation before the mark, so that what was reserved and not used does not push it
 /// ahead; the stamps begin at the mark all the same, and go on a tick a frame until the clock has come after.
 ///
-/// The price: after a restart, frames of an honest peer are refused for at most the reservation, and by as
+/// The price: after a restart, frames of an honest peer are rejected for at most the reservation, and by as
 /// much longer as the latest timestamp that this end has used or accepted was ahead of the peer's clock; a peer
 /// without a clock is up to a reservation behind.
-pub struct Kept<F, T> {
+pub struct PersistentClock<F, T> {
     clock: Clock,
-    mark: Mark<F>,
+    mark: HighWaterMark<F>,
     timer: T,
     started: u64,
     floor: Timestamp,
 }
 
-impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
+impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
     /// The end whose mark is in `region` of `flash`, with a clock that nobody has told the time yet. `timer` gives
     /// ticks of 10 microseconds that never go back.
     ///
     /// # Errors
     ///
-    /// [`KeptError`].
-    pub fn new(flash: F, region: Region, mut timer: T) -> Result<Self, KeptError> {
-        let mark = Mark::open(flash, region)?;
-        let floor = Timestamp::from_ticks(mark.get()).ok_or(KeptError::Exhausted)?;
+    /// [`PersistentClockError`].
+    pub fn new(flash: F, region: Region, mut timer: T) -> Result<Self, PersistentClockError> {
+        let mark = HighWaterMark::open(flash, region)?;
+        let floor = Timestamp::from_ticks(mark.get()).ok_or(PersistentClockError::Exhausted)?;
         let earliest = mark.get().saturating_sub(RESERVATION);
         let earliest = Timestamp::from_ticks(earliest).unwrap_or(floor);
         let started = timer();
@@ -136,30 +136,30 @@ impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
         self.floor
     }
 
-    /// Stamps for `link_id`, none before [`Kept::floor`]. One for each link id in a run of the program.
+    /// Stamps for `link_id`, none before [`PersistentClock::floor`]. One for each link id in a run of the program.
     #[must_use]
     pub const fn stamper(&self, link_id: u8) -> Stamper {
         Stamper::resume(link_id, self.floor)
     }
 
-    /// Takes `time` from `source`: [`Clock::tell`]. Ask a trusted one again before [`Clock::holdover`] is over;
+    /// Takes `time` from `source`: [`Clock::update`]. Ask a trusted one again before [`Clock::holdover`] is over;
     /// hourly, for instance.
     ///
     /// # Errors
     ///
-    /// [`BehindMark`]. Believed, such a source would make this end refuse every honest frame.
-    pub fn tell(&mut self, source: Source, time: Timestamp) -> Result<u64, BehindMark> {
-        let latest = time.saturating_add(RESERVATION + Window::LINK.ahead);
-        let tells = source == Source::Trusted && time != Timestamp::ZERO;
+    /// [`TimeBehindMark`]. Believed, such a source would make this end reject every honest frame.
+    pub fn update(&mut self, source: TimeSource, time: Timestamp) -> Result<u64, TimeBehindMark> {
+        let latest = time.saturating_add(RESERVATION + Window::ONE_MINUTE.ahead);
+        let tells = source == TimeSource::Trusted && time != Timestamp::ZERO;
         if tells && latest.ticks() < self.mark.get() {
-            return Err(BehindMark);
+            return Err(TimeBehindMark);
         }
         let now = (self.timer)();
-        Ok(self.clock.tell(source, time, now))
+        Ok(self.clock.update(source, time, now))
     }
 
     /// Whether the clock knows the time.
-    pub fn sync(&mut self) -> Sync {
+    pub fn sync(&mut self) -> SyncState {
         let now = (self.timer)();
         self.clock.sync(now)
     }
@@ -170,18 +170,18 @@ impl<F: NorFlash, T: FnMut() -> u64> Kept<F, T> {
     }
 }
 
-impl<F: NorFlash, T: FnMut() -> u64> Timekeeper for Kept<F, T> {
+impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
     fn now(&mut self) -> Timestamp {
         let now = (self.timer)();
         self.clock.now(now)
     }
 
-    fn judged_at(&mut self, stamp: Timestamp) -> Timestamp {
+    fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
         let now = (self.timer)();
-        self.clock.judged_at(stamp, now)
+        self.clock.reference_time(stamp, now)
     }
 
-    /// Also refuses what lies before [`Kept::floor`], which a stamper or a receiver would let through that was
+    /// Also rejects what lies before [`PersistentClock::floor`], which a stamper or a receiver would let through that was
     /// not made with it.
     fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
         if stamp < self.floor {
@@ -195,21 +195,21 @@ impl<F: NorFlash, T: FnMut() -> u64> Timekeeper for Kept<F, T> {
         reserved.map_err(|_| NotStored)
     }
 
-    fn heard(&mut self, frame: &Verified<'_>) {
+    fn on_accepted(&mut self, frame: &Verified<'_>) {
         let now = (self.timer)();
-        self.clock.heard(frame, now);
+        self.clock.on_accepted(frame, now);
     }
 }
 
-impl<F: NorFlash, T: FnMut() -> u64> crate::Clock for Kept<F, T> {
+impl<F: NorFlash, T: FnMut() -> u64> crate::Clock for PersistentClock<F, T> {
     fn timer(&mut self) -> u64 {
         (self.timer)()
     }
 }
 
-impl<F, T> fmt::Debug for Kept<F, T> {
+impl<F, T> fmt::Debug for PersistentClock<F, T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Kept")
+        f.debug_struct("PersistentClock")
             .field("clock", &self.clock)
             .field("floor", &self.floor)
             .finish_non_exhaustive()

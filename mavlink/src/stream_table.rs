@@ -2,10 +2,10 @@
 
 use heapless::Vec;
 
+use crate::anti_replay::AntiReplay;
 use crate::error::VerifyError;
 use crate::frame::FrameRef;
 use crate::header::Header;
-use crate::replay::Admit;
 use crate::time::{Fresh, Stamp, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
@@ -23,7 +23,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    const fn of(header: Header, stamp: Stamp) -> Self {
+    const fn new(header: Header, stamp: Stamp) -> Self {
         Self {
             link_id: stamp.link_id,
             system_id: header.system_id,
@@ -39,7 +39,7 @@ pub enum Links {
     /// All. A frame recorded on one link is then authentic on another, and accepted there as the
     /// first of its stream for as long as it lies in the window.
     Any,
-    /// This one alone: a frame recorded on another link is refused.
+    /// This one alone: a frame recorded on another link is rejected.
     Only(u8),
 }
 
@@ -57,12 +57,12 @@ impl Links {
 /// What a receiver remembers of up to `N` streams. It is not copied: a copy would accept again what
 /// the original has accepted.
 ///
-/// Only an accepted frame takes a row, or one that this end [sent](Streams::sent), and no row is given up:
-/// when all are taken, further streams are refused. Whoever has the key can fill the table; nobody else.
+/// Only an accepted frame takes a row, or one that this end [sent](StreamTable::record_sent), and no row is given up:
+/// when all are taken, further streams are rejected. Whoever has the key can fill the table; nobody else.
 /// What this end sends takes half of it at most: equipment that is signed for, whatever it says that it is,
 /// leaves the other half to peers.
 #[derive(Debug)]
-pub struct Streams<const N: usize> {
+pub struct StreamTable<const N: usize> {
     links: Links,
     window: Window,
     /// What is fresh in every stream, whatever its row says.
@@ -80,7 +80,7 @@ struct Row {
     own: bool,
 }
 
-impl<const N: usize> Admit for Streams<N> {
+impl<const N: usize> AntiReplay for StreamTable<N> {
     fn admit<'a>(
         &mut self,
         frame: Authentic<'a>,
@@ -93,16 +93,16 @@ impl<const N: usize> Admit for Streams<N> {
         Self::check(self, frame, now)
     }
 
-    fn sent(&mut self, frame: FrameRef<'_>) {
-        Self::sent(self, frame);
+    fn record_sent(&mut self, frame: FrameRef<'_>) {
+        Self::record_sent(self, frame);
     }
 
-    fn refuses_own(&self, _link_id: u8) -> bool {
+    fn rejects_own(&self, _link_id: u8) -> bool {
         true
     }
 }
 
-impl<const N: usize> Streams<N> {
+impl<const N: usize> StreamTable<N> {
     /// A receiver that has accepted nothing yet.
     #[must_use]
     pub const fn new(links: Links, window: Window) -> Self {
@@ -142,7 +142,7 @@ impl<const N: usize> Streams<N> {
     }
 
     /// Every stream of which a frame was accepted or sent, and the timestamp of the newest: up to it all
-    /// frames of the stream are refused, and up to the mark that the receiver was resumed at.
+    /// frames of the stream are rejected, and up to the mark that the receiver was resumed at.
     pub fn rows(&self) -> impl Iterator<Item = (Stream, Option<Timestamp>)> {
         self.rows.iter().map(|row| (row.stream, row.fresh.used()))
     }
@@ -162,7 +162,7 @@ impl<const N: usize> Streams<N> {
     ) -> Result<Verified<'a>, VerifyError> {
         self.check(&frame, now)?;
         let stamp = frame.stamp();
-        let stream = Stream::of(frame.header(), stamp);
+        let stream = Stream::new(frame.header(), stamp);
         let fresh = Fresh::after(stamp.timestamp);
         match self.row_mut(stream) {
             Some(row) => row.fresh = fresh,
@@ -175,18 +175,18 @@ impl<const N: usize> Streams<N> {
         Ok(Verified::new(frame))
     }
 
-    /// The verdict that [`Streams::admit`] would give; nothing changes.
+    /// The verdict that [`StreamTable::admit`] would give; nothing changes.
     ///
     /// # Errors
     ///
-    /// As [`Streams::admit`].
+    /// As [`StreamTable::admit`].
     pub fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError> {
         let stamp = frame.stamp();
         if !self.links.take(stamp.link_id) {
             return Err(VerifyError::WrongLink(stamp.link_id));
         }
         self.window.check(stamp.timestamp, now)?;
-        let stream = Stream::of(frame.header(), stamp);
+        let stream = Stream::new(frame.header(), stamp);
         let row = self.rows.iter().find(|row| row.stream == stream);
         let fresh = row.map_or(self.first, |row| row.fresh.max(self.first));
         if !fresh.contains(stamp.timestamp) {
@@ -199,7 +199,7 @@ impl<const N: usize> Streams<N> {
         Ok(())
     }
 
-    /// Remembers a frame that this end has signed and sends, so that it is refused when it comes back: as
+    /// Remembers a frame that this end has signed and sends, so that it is rejected when it comes back: as
     /// a replay, or, if there was no row left for it, as of a new stream.
     ///
     /// Rows are left until half of the table is taken in this way. After that, no new stream is taken of
@@ -208,14 +208,14 @@ impl<const N: usize> Streams<N> {
     /// A peer may then sign for the link id that this end signs for, as ground stations do that take
     /// over the link id they hear (pymavlink's with link id 0). An unsigned frame, and one of a link
     /// that is not taken, change nothing.
-    pub fn sent(&mut self, frame: FrameRef<'_>) {
+    pub fn record_sent(&mut self, frame: FrameRef<'_>) {
         let Some(stamp) = frame.signature().map(|signature| signature.stamp) else {
             return;
         };
         if !self.links.take(stamp.link_id) {
             return;
         }
-        let stream = Stream::of(frame.header(), stamp);
+        let stream = Stream::new(frame.header(), stamp);
         let fresh = Fresh::after(stamp.timestamp);
         if let Some(row) = self.row_mut(stream) {
             row.fresh = row.fresh.max(fresh);

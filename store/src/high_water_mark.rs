@@ -28,16 +28,16 @@ impl From<StoreError> for ReserveError {
 
 /// A number in flash above every value that has been used: timestamps, counters, epochs.
 ///
-/// A value is used only after [`Mark::reserve`] has agreed. Then a restart loses none: whatever was
+/// A value is used only after [`HighWaterMark::reserve`] has agreed. Then a restart loses none: whatever was
 /// used before it is below the mark that is found after it. The price is that values which were reserved
 /// and not used are lost too.
 #[derive(Debug)]
-pub struct Mark<F> {
+pub struct HighWaterMark<F> {
     journal: Journal<F, MARK_SIZE>,
     stored: u64,
 }
 
-impl<F: NorFlash> Mark<F> {
+impl<F: NorFlash> HighWaterMark<F> {
     /// The mark that `region` of `flash` holds; 0 if it never held one, or none that can be read: a cut in the
     /// very first write leaves the same. Nothing is written.
     ///

@@ -3,7 +3,7 @@
 use zeroize::Zeroizing;
 
 use crate::error::KeyFileError;
-use crate::file::{Exceptions, KeyFile, Sender};
+use crate::file::{Exceptions, KeyFile, SenderKeys};
 
 impl KeyFile {
     /// Random keys and salts for a vehicle with id 0 and stations with ids from 1.
@@ -23,12 +23,12 @@ impl KeyFile {
     }
 }
 
-fn fresh(id: u32) -> Result<Sender, KeyFileError> {
+fn fresh(id: u32) -> Result<SenderKeys, KeyFileError> {
     let mut key = Zeroizing::new([0; 16]);
     getrandom::fill(&mut *key).map_err(KeyFileError::Random)?;
     let mut salt = [0; 4];
     getrandom::fill(&mut salt).map_err(KeyFileError::Random)?;
-    Ok(Sender {
+    Ok(SenderKeys {
         id,
         key,
         salt: u32::from_be_bytes(salt),
