@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use mavlink_commsec::{
-    Key, Opener, Package, Packer, Sealer, SenderId,
-    hx::{self, Tag},
+    Opener, Package, Packer, Sealer, SealingKey, SenderId,
+    hx::{self, FrameKind},
     radio::Status,
 };
 use mavseal_chips_host::{Image, keys};
-use mavseal_keys::{Exceptions, KeyFile, Sender};
+use mavseal_keys::{Exceptions, KeyFile, SenderKeys};
 
 use crate::{
     elf::Elf,
@@ -38,7 +38,7 @@ struct Play {
 /// If something comes out that must not, or does not that must.
 pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
     let keys = KeyFile::read(&keys()?, Exceptions::default())?;
-    let key = |sender: &Sender| Key::new(&*sender.key, sender.salt);
+    let key = |sender: &SenderKeys| SealingKey::new(&*sender.key, sender.salt);
     let mut opener = Opener::new();
     opener.permit(key(keys.vehicle())?, &[SenderId(keys.vehicle().id)])?;
     let stations = keys.stations().iter();
@@ -105,7 +105,10 @@ impl Play {
             .all(|byte| decoder.push(*byte).is_none());
         ensure!(begun, "more than a package: {sealed:02x?}");
         let frame = decoder.push(sealed[end]).context("half a package")??;
-        ensure!(frame.kind() == Tag::AirData, "no package: {sealed:02x?}");
+        ensure!(
+            frame.kind() == FrameKind::AirData,
+            "no package: {sealed:02x?}"
+        );
         let opened = self.opener.open(frame.payload())?;
         let packets = opened.packets().collect::<Result<Vec<_>, _>>()?;
         Ok(packets.concat())
@@ -132,13 +135,13 @@ impl Play {
         for at in [3, 7, 40, 87, 95] {
             let mut package = self.sealed(1, &packet(FULL))?.as_bytes().to_vec();
             package[at] ^= 1;
-            self.frame(Tag::AirData, &package)?;
+            self.frame(FrameKind::AirData, &package)?;
         }
-        let strange: Key = Key::new(&[7; 16], 7)?;
+        let strange: SealingKey = SealingKey::new(&[7; 16], 7)?;
         let package = Sealer::new(strange, SenderId(99)).seal(&[1; 80])?;
-        self.frame(Tag::AirData, package.as_bytes())?;
-        self.frame(Tag::AirData, &[1; 95])?;
-        self.frame(Tag::Radio, b"no status")?;
+        self.frame(FrameKind::AirData, package.as_bytes())?;
+        self.frame(FrameKind::AirData, &[1; 95])?;
+        self.frame(FrameKind::Radio, b"no status")?;
         for frame in [
             &[0x7E, 0, 0x7E][..],
             &[0x7E, 9, 9, 0x7E],
@@ -150,8 +153,8 @@ impl Play {
         self.lines.rejected(RADIO, &[0x7E])
     }
 
-    fn frame(&mut self, tag: Tag, payload: &[u8]) -> Result<()> {
-        let frame = hx::Frame::new(tag, payload)?;
+    fn frame(&mut self, kind: FrameKind, payload: &[u8]) -> Result<()> {
+        let frame = hx::Frame::new(kind, payload)?;
         self.lines.rejected(RADIO, &Vec::from_iter(frame.encode()))
     }
 
@@ -159,7 +162,7 @@ impl Play {
     fn radio_answers(&mut self) -> Result<()> {
         self.lines.passes(2);
         self.lines.rejected(LOCAL, &[])?;
-        self.frame(Tag::Radio, &Status::default().to_wire())?;
+        self.frame(FrameKind::Radio, &Status::default().to_wire())?;
         self.lines.passes(1);
         let sealed = self.lines.pass(LOCAL, &[])?;
         let told = self.opened(&sealed)?;
