@@ -15,11 +15,10 @@
 //! anything is for what it carries to say: a package says so with its tag. Several byte strings decode
 //! to one frame, since any byte may come escaped.
 
-use core::slice;
+use core::{fmt, slice};
 
 use heapless::Vec;
 
-use crate::error::{DecodeError, FrameError};
 use crate::field::PACKAGE_SIZE;
 use crate::package::Package;
 
@@ -292,3 +291,57 @@ impl Default for Decoder {
         Self::new()
     }
 }
+
+/// Why bytes cannot be framed. The caller is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum FrameError {
+    /// There are none; SMACCMPilot's radio never recovers from an empty frame.
+    Empty,
+    /// More than 100: this many.
+    TooLong(usize),
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => f.write_str("an empty frame"),
+            Self::TooLong(length) => write!(
+                f,
+                "a frame has at most {} bytes, this one has {length}",
+                MAX_PAYLOAD_SIZE
+            ),
+        }
+    }
+}
+
+impl core::error::Error for FrameError {}
+
+/// Why a received frame is dropped. A damaged line, or a sender that speaks something else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum DecodeError {
+    /// It has a tag and nothing behind it.
+    Empty,
+    /// More than 100 bytes.
+    TooLong,
+    /// It ends between an escape and the byte that was escaped.
+    TruncatedEscape,
+    /// Neither air data nor radio data, but this.
+    UnknownKind(u8),
+}
+
+impl fmt::Display for DecodeError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => f.write_str("an empty frame"),
+            Self::TooLong => write!(f, "a frame of more than {MAX_PAYLOAD_SIZE} bytes"),
+            Self::TruncatedEscape => f.write_str("a frame that ends in an escape"),
+            Self::UnknownKind(tag) => write!(f, "a frame with the unknown tag {tag:#04X}"),
+        }
+    }
+}
+
+impl core::error::Error for DecodeError {}

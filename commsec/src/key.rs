@@ -6,9 +6,9 @@ use core::marker::PhantomData;
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, CipherError, Nonce, PackageTag, Plaintext};
-use crate::error::SealingKeyError;
 use crate::field::{KEY_SIZE, SALT_SIZE};
-use crate::header::{HeaderFormat, PackageHeader, Sender, SenderId};
+use crate::header::{HeaderFormat, PackageHeader, Sender};
+use crate::sender::SenderId;
 
 /// A key and its salt, prepared for use.
 ///
@@ -122,3 +122,30 @@ impl<I: fmt::Debug> fmt::Debug for Credential<I> {
             .finish_non_exhaustive()
     }
 }
+
+/// Why bytes are not a key. The caller is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SealingKeyError {
+    /// Not 16 bytes, but this many.
+    WrongLength(usize),
+    /// All bytes are zero: what memory that was never written reads as.
+    AllZero,
+    /// All bytes are 0xFF: what erased flash reads as.
+    Erased,
+}
+
+impl fmt::Display for SealingKeyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WrongLength(length) => {
+                write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
+            }
+            Self::AllZero => f.write_str("a key of zeros only is no key"),
+            Self::Erased => f.write_str("a key of 0xFF only is erased flash"),
+        }
+    }
+}
+
+impl core::error::Error for SealingKeyError {}

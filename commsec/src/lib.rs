@@ -26,19 +26,16 @@ mod pack;
 mod package;
 pub mod radio;
 mod seal;
+mod sender;
 
 pub use cipher::{AesGcm, Cipher, CipherError, Nonce, PackageTag, Plaintext};
-pub use error::{
-    DecodeError, EpochError, FrameError, OpenError, PackError, PermitError, RadioError, SealError,
-    SealingKeyError, UnpackError,
-};
-pub use header::{
-    EpochCounter, EpochHeader, EpochSenderId, HeaderFormat, PackageHeader, Sender, SenderId,
-};
-pub use key::{Credential, SealingKey};
-pub use open::{INTEGRITY_LIMIT, Opened, Opener};
-pub use pack::{LEGACY_SIZE, Packer, Packets, packets};
+pub use error::OpenError;
+pub use header::{EpochHeader, HeaderFormat, PackageHeader, Sender};
+pub use key::{Credential, SealingKey, SealingKeyError};
+pub use open::{INTEGRITY_LIMIT, Opened, Opener, PermitError};
+pub use pack::{LEGACY_SIZE, PackError, Packer, Packets, UnpackError, packets};
 pub use package::Package;
-pub use seal::{FIRST_COUNTER, Sealer};
+pub use seal::{EpochError, FIRST_COUNTER, SealError, Sealer};
+pub use sender::{EpochCounter, EpochSenderId, SenderId};
 /// What a [`Cipher`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;

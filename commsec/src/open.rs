@@ -6,11 +6,12 @@ use heapless::Vec;
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, Plaintext};
-use crate::error::{OpenError, PermitError};
+use crate::error::OpenError;
 use crate::header::{HeaderFormat, PackageHeader};
-use crate::key::{Credential, SealingKey};
+use crate::key::{Credential, SealingKey, SealingKeyError};
 use crate::pack::Packets;
 use crate::package::Parts;
+use crate::sender::SenderId;
 
 /// How many wrong tags a key survives within a run, unless [`Opener::with_limit`] says otherwise: 2^24. The
 /// count is kept in memory, and is 0 again after a restart.
@@ -294,5 +295,46 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> fmt::Debug for Opener<N, C, H> 
             .field("senders", &self.rows)
             .field("limit", &self.limit)
             .finish_non_exhaustive()
+    }
+}
+
+/// Why senders cannot be permitted. The caller is at fault; nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum PermitError {
+    /// The key is none.
+    Key(SealingKeyError),
+    /// A key that nobody seals with.
+    NoSender,
+    /// This sender is permitted twice, or has been before.
+    DuplicateSender(SenderId),
+    /// There are more senders than rows.
+    TableFull,
+}
+
+impl From<SealingKeyError> for PermitError {
+    fn from(error: SealingKeyError) -> Self {
+        Self::Key(error)
+    }
+}
+
+impl fmt::Display for PermitError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Key(error) => error.fmt(f),
+            Self::NoSender => f.write_str("a key without a sender"),
+            Self::DuplicateSender(sender) => write!(f, "sender {sender} is permitted twice"),
+            Self::TableFull => f.write_str("the table of senders is full"),
+        }
+    }
+}
+
+impl core::error::Error for PermitError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Key(error) => Some(error),
+            _ => None,
+        }
     }
 }

@@ -9,7 +9,6 @@ use mavlink_signing::{FrameRef, MessageId, ParseError};
 use zeroize::Zeroize as _;
 
 use crate::cipher::Plaintext;
-use crate::error::{PackError, UnpackError};
 use crate::field::PLAINTEXT_SIZE;
 
 /// Bytes that old SMACCMPilot vehicles look at: they lose the last 8 of a message.
@@ -225,4 +224,66 @@ fn first_packet(bytes: &[u8]) -> Result<(&[u8], MessageId), ParseError> {
     let size = HEADER_SIZE_V1 + usize::from(payload_length) + CHECKSUM_SIZE;
     let packet = bytes.get(..size).ok_or(ParseError::Truncated)?;
     Ok((packet, id.into()))
+}
+
+/// Why a packet is not packed. The caller is at fault; nothing has changed but the count of rejections.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum PackError {
+    /// The packet has more bytes than fit into a message: this many. It can only be sent unsealed, or
+    /// not at all.
+    TooLong(usize),
+    /// The bytes do not begin with a whole packet of MAVLink 1 or 2.
+    Parse(ParseError),
+    /// A packet of MAVLink 2, for a vehicle that knows none and would lose what is behind it.
+    LegacyVehicle,
+    /// More bytes than the packet in front of them: this many.
+    Trailing(usize),
+}
+
+impl fmt::Display for PackError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong(length) => {
+                write!(f, "a packet of {length} bytes does not fit into a message")
+            }
+            Self::Parse(error) => error.fmt(f),
+            Self::LegacyVehicle => f.write_str("a MAVLink 2 packet for a vehicle of MAVLink 1"),
+            Self::Trailing(length) => write!(f, "{length} bytes behind the packet"),
+        }
+    }
+}
+
+impl core::error::Error for PackError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Parse(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+/// Why a message that was opened does not hold whole packets to its end. Its sender is at fault: he
+/// has the key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct UnpackError {
+    /// How many bytes of the message, from its front, are packets and zeros between them.
+    pub offset: usize,
+    /// Why what follows is no packet.
+    pub fault: ParseError,
+}
+
+impl fmt::Display for UnpackError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { offset, fault } = self;
+        write!(f, "no packet at byte {offset} of the message: {fault}")
+    }
+}
+
+impl core::error::Error for UnpackError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        Some(&self.fault)
+    }
 }

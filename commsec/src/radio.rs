@@ -4,10 +4,10 @@
 //! integers big-endian. Anybody on the line can make such frames: they are for people to look at, and
 //! nothing may act on them.
 
+use core::fmt;
+
 use mavlink_signing::crc::checksum;
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE_V1, MAGIC_V1};
-
-use crate::error::RadioError;
 
 /// Bytes of an answer to [`Request::Status`].
 pub const STATUS_SIZE: usize = 25;
@@ -276,3 +276,22 @@ const VEHICLE_RADIO: [u8; 2] = [174, 238];
 const RADIO_PAYLOAD_SIZE: usize = 9;
 /// Bytes of GCS_RADIO and of VEHICLE_RADIO as MAVLink 1 packets.
 pub const RADIO_PACKET_SIZE: usize = HEADER_SIZE_V1 + RADIO_PAYLOAD_SIZE + CHECKSUM_SIZE;
+
+/// Why bytes of a radio are not the status that was asked for. They may be another answer of it: text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum RadioError {
+    /// Neither 25 bytes that begin with `B` nor 30 that begin with `D`; so many bytes.
+    NoStatus(usize),
+}
+
+impl fmt::Display for RadioError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NoStatus(length) => write!(f, "{length} bytes that are no status of a radio"),
+        }
+    }
+}
+
+impl core::error::Error for RadioError {}

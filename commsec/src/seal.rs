@@ -1,14 +1,14 @@
 //! Sealing: one message, one counter, one package.
 
+use core::fmt;
+
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, Plaintext};
-use crate::error::{EpochError, SealError};
-use crate::header::{
-    EpochCounter, EpochHeader, EpochSenderId, HeaderFormat, PackageHeader, SenderId,
-};
+use crate::header::{EpochHeader, HeaderFormat, PackageHeader};
 use crate::key::SealingKey;
 use crate::package::Package;
+use crate::sender::{EpochCounter, EpochSenderId, SenderId};
 
 /// The counter of the first package that is ever sealed with a key, or in an epoch.
 pub const FIRST_COUNTER: u32 = 1;
@@ -121,3 +121,38 @@ impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
         Ok(Package::new(header, &sealed, &tag))
     }
 }
+
+/// Why nothing is sealed, and nothing may be sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SealError {
+    /// All counters of the key, or of the epoch, have been used; only a new key helps, or a new epoch.
+    CounterExhausted,
+    /// The cipher's hardware failed. The counter is used up, the message is not lost.
+    Cipher,
+}
+
+impl fmt::Display for SealError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::CounterExhausted => "all counters of the key are used up",
+            Self::Cipher => "the cipher failed",
+        })
+    }
+}
+
+impl core::error::Error for SealError {}
+
+/// A sender cannot begin: all epochs of the key have been used; only a new key helps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct EpochError;
+
+impl fmt::Display for EpochError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("all epochs of the key are used up")
+    }
+}
+
+impl core::error::Error for EpochError {}

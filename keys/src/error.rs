@@ -2,7 +2,7 @@
 
 use std::{io, path::PathBuf};
 
-use crate::file::MAX_STATIONS;
+use crate::field::MAX_STATIONS;
 
 /// Why a key file is not used, or not written. Whoever wrote or chose it is at fault.
 #[derive(Debug, thiserror::Error)]

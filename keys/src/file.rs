@@ -11,9 +11,7 @@ use serde::Deserialize;
 use zeroize::Zeroizing;
 
 use crate::error::KeyFileError;
-
-/// Most stations in a file.
-pub const MAX_STATIONS: usize = 64;
+use crate::field::MAX_STATIONS;
 
 /// The header of the packages that the keys of a file seal. All of them: under one key, the two would use
 /// nonces twice.

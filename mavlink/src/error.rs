@@ -4,19 +4,11 @@ use core::fmt;
 
 use crate::field::{MAX_PAYLOAD_SIZE, TIMESTAMP_SIZE};
 use crate::header::MessageId;
-use crate::key::KEY_SIZE;
-use crate::link_clock::NotStored;
 
-/// Why bytes are not a key. The caller is at fault.
+/// A mark could not be stored. The memory is at fault, or worn out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum KeyError {
-    /// Not 32 bytes, but this many.
-    WrongLength(usize),
-    /// All bytes are zero: what storage that was never written, or was erased, reads as.
-    AllZero,
-}
+pub struct NotStored;
 
 /// Why a frame cannot be made or signed. The caller is at fault, not the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,31 +85,9 @@ impl From<NotStored> for VerifyError {
     }
 }
 
-/// Why a payload does not carry a key. Its sender is at fault.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum SetupError {
-    /// More than the 42 bytes of SETUP_SIGNING: this many.
-    TooLong(usize),
-    /// A timestamp of more than 48 bits: this one.
-    TimestampTooLong(u64),
-}
-
 impl From<ParseError> for VerifyError {
     fn from(error: ParseError) -> Self {
         Self::Parse(error)
-    }
-}
-
-impl fmt::Display for KeyError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::WrongLength(length) => {
-                write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
-            }
-            Self::AllZero => f.write_str("a key of zeros only is no key"),
-        }
     }
 }
 
@@ -153,25 +123,6 @@ impl fmt::Display for ParseError {
     }
 }
 
-impl fmt::Display for SetupError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooLong(length) => {
-                write!(
-                    f,
-                    "SETUP_SIGNING has 42 bytes of payload, this has {length}"
-                )
-            }
-            Self::TimestampTooLong(ticks) => {
-                write!(
-                    f,
-                    "a timestamp has {TIMESTAMP_SIZE} bytes, {ticks:#X} has more"
-                )
-            }
-        }
-    }
-}
-
 impl fmt::Display for VerifyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -191,10 +142,8 @@ impl fmt::Display for VerifyError {
     }
 }
 
-impl core::error::Error for KeyError {}
 impl core::error::Error for SignError {}
 impl core::error::Error for ParseError {}
-impl core::error::Error for SetupError {}
 impl core::error::Error for VerifyError {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         match self {

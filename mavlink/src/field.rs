@@ -33,6 +33,9 @@ pub const TIMESTAMP_SIZE: usize = 6;
 /// Bytes of the cut tag that ends a signature.
 pub const TAG_SIZE: usize = 6;
 
+/// Bytes of a key: 32.
+pub const KEY_SIZE: usize = 32;
+
 /// Offset of the incompatibility flags.
 pub(crate) const INCOMPAT_FLAGS: usize = MAGIC_SIZE + LENGTH_SIZE;
 /// Offset of the first byte under the checksum: the magic byte is not.

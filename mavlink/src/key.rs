@@ -5,12 +5,33 @@ use core::fmt;
 use sha2::{Digest, Sha256};
 use zeroize::Zeroize;
 
-use crate::error::KeyError;
+use crate::field::KEY_SIZE;
 use crate::frame::Tag;
 use crate::profile::{Hmac, Profile};
 
-/// Bytes of a key: 32.
-pub const KEY_SIZE: usize = 32;
+/// Why bytes are not a key. The caller is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum KeyError {
+    /// Not 32 bytes, but this many.
+    WrongLength(usize),
+    /// All bytes are zero: what storage that was never written, or was erased, reads as.
+    AllZero,
+}
+
+impl fmt::Display for KeyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::WrongLength(length) => {
+                write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
+            }
+            Self::AllZero => f.write_str("a key of zeros only is no key"),
+        }
+    }
+}
+
+impl core::error::Error for KeyError {}
 
 /// A key, prepared for one profile.
 ///

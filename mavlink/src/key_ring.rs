@@ -4,10 +4,10 @@ use core::fmt;
 
 use subtle::ConstantTimeEq;
 
-use crate::error::{KeyError, VerifyError};
+use crate::error::{NotStored, VerifyError};
+use crate::field::KEY_SIZE;
 use crate::frame::FrameRef;
-use crate::key::{KEY_SIZE, SigningKey};
-use crate::link_clock::NotStored;
+use crate::key::{KeyError, SigningKey};
 use crate::profile::Profile;
 use crate::verify::{Authentic, Verified, authenticate};
 

@@ -30,6 +30,7 @@ mod link_clock;
 mod profile;
 mod setup;
 mod sign;
+mod state;
 mod stream_table;
 mod time;
 mod unsigned;
@@ -38,21 +39,23 @@ mod verify;
 pub use anti_replay::{AntiReplay, ReplayGuard};
 pub use clock::{Clock, SYSTEM_TIME, SyncState, TimeSource, system_time};
 pub use decoder::{DecodeError, Decoder, Mavlink1, Packet, Resync};
-pub use error::{KeyError, ParseError, SetupError, SignError, VerifyError};
+pub use error::{NotStored, ParseError, SignError, VerifyError};
+pub use field::KEY_SIZE;
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
-pub use key::{Fingerprint, KEY_SIZE, SigningKey, passphrase_key};
+pub use key::{Fingerprint, KeyError, SigningKey, passphrase_key};
 pub use key_ring::{Authenticate, KeyChange, KeyChangeError, KeyRing, KeyStore, RolloverState};
-pub use link_clock::{LinkClock, NotStored};
+pub use link_clock::LinkClock;
 pub use profile::{Hmac, Profile, Standard};
-pub use setup::{SETUP_SIGNING, SetupSigning, redact_for_log, without_trailing_zeros};
+pub use setup::{SETUP_SIGNING, SetupError, SetupSigning, redact_for_log, without_trailing_zeros};
 pub use sign::sign_frame;
+pub use state::{MavLinkState, verify_frame};
 pub use stream_table::{Links, Stream, StreamTable};
 pub use time::{RESERVATION, Stamp, Stamper, TICKS_PER_SECOND, Timestamp, Window};
 pub use unsigned::{
     AllowLink, AllowRadioStatus, Claim, RejectUnsigned, Unsigned, UnsignedPolicy, accept_unsigned,
 };
-pub use verify::{Authentic, MavLinkState, Verified, authenticate, verify_frame};
+pub use verify::{Authentic, Verified, authenticate};
 /// What a [`Profile`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;
 

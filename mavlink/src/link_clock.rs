@@ -1,14 +1,9 @@
 //! One end of a link in time: its clock, and its memory of what was used before a restart.
 
 use crate::anti_replay::AntiReplay;
-use crate::error::{SignError, VerifyError};
+use crate::error::{NotStored, SignError, VerifyError};
 use crate::time::{Stamp, Stamper, Timestamp};
 use crate::verify::{Authentic, Verified};
-
-/// A mark could not be stored. The memory is at fault, or worn out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct NotStored;
 
 /// What both directions of a link share: the time, and a mark that survives a restart.
 ///

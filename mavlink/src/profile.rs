@@ -12,9 +12,8 @@ use hmac::{EagerHash, KeyInit};
 use sha2::Sha256;
 use zeroize::{Zeroize, ZeroizeOnDrop, Zeroizing, optimization_barrier};
 
-use crate::field::TAG_SIZE;
+use crate::field::{KEY_SIZE, TAG_SIZE};
 use crate::frame::Tag;
-use crate::key::KEY_SIZE;
 
 /// A way to compute tags from a 32-byte key.
 ///

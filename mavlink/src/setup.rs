@@ -5,10 +5,10 @@ use core::{fmt, iter};
 use zeroize::{Zeroize, ZeroizeOnDrop};
 
 use crate::dialect::crc_extra;
-use crate::error::{SetupError, SignError};
+use crate::error::SignError;
+use crate::field::{KEY_SIZE, TIMESTAMP_SIZE};
 use crate::frame::{Frame, FrameRef};
 use crate::header::{Header, MessageId};
-use crate::key::KEY_SIZE;
 use crate::time::Timestamp;
 
 /// SETUP_SIGNING, message 256.
@@ -20,6 +20,38 @@ const INITIAL_TIMESTAMP_SIZE: usize = 8;
 const SECRET_KEY: usize = INITIAL_TIMESTAMP_SIZE + 2;
 /// Bytes of the payload: 42.
 const PAYLOAD_SIZE: usize = SECRET_KEY + KEY_SIZE;
+
+/// Why a payload does not carry a key. Its sender is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SetupError {
+    /// More than the 42 bytes of SETUP_SIGNING: this many.
+    TooLong(usize),
+    /// A timestamp of more than 48 bits: this one.
+    TimestampTooLong(u64),
+}
+
+impl fmt::Display for SetupError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong(length) => {
+                write!(
+                    f,
+                    "SETUP_SIGNING has 42 bytes of payload, this has {length}"
+                )
+            }
+            Self::TimestampTooLong(ticks) => {
+                write!(
+                    f,
+                    "a timestamp has {TIMESTAMP_SIZE} bytes, {ticks:#X} has more"
+                )
+            }
+        }
+    }
+}
+
+impl core::error::Error for SetupError {}
 
 /// A key on its way to one component, and the timestamp to begin with (MAVLink guide, "Message
 /// Signing", Secret Key Management).

@@ -1,9 +1,9 @@
 //! F1 and F2: what is framed comes out again, whatever was before; and no frame is empty.
 
 use mavlink_commsec::hx::{
-    Decoder, ESCAPE, FLAG, Frame, FrameKind, MAX_ENCODED_SIZE, MAX_PAYLOAD_SIZE,
+    DecodeError, Decoder, ESCAPE, FLAG, Frame, FrameError, FrameKind, MAX_ENCODED_SIZE,
+    MAX_PAYLOAD_SIZE,
 };
-use mavlink_commsec::{DecodeError, FrameError};
 
 /// F1, from any state of the decoder: of a frame's bytes on the line, the first and the last alone are
 /// boundaries, and there are at most 203; the decoder gives the frame with the last byte, and nothing

@@ -165,7 +165,10 @@ fn a_clock_that_leaps_is_no_silence() {
     assert_eq!(turn(second, &[]), 1);
     assert!(kept.now() > at(NOW / 2), "the frame has told the time");
     let shown = format!("{kept:?}");
-    assert!(shown.starts_with("PersistentClock { clock: Clock {"), "{shown}");
+    assert!(
+        shown.starts_with("PersistentClock { clock: Clock {"),
+        "{shown}"
+    );
 }
 
 #[test]

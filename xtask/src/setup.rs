@@ -33,34 +33,21 @@ pub(crate) fn target_dir() -> Result<PathBuf> {
     Ok(metadata.exec()?.target_directory.into())
 }
 
-/// A call of cargo for a microcontroller such as `thumbv7em-none-eabihf`, once its core library is there.
+/// Finds the core library of a target such as `thumbv7em-none-eabihf`, or installs it.
 ///
 /// # Errors
-/// If it is not, and rustup cannot install it.
-pub(crate) fn cargo_for(target: &str, command: &str) -> Result<Command> {
+/// If rustup cannot.
+pub(crate) fn target(target: &str) -> Result<()> {
     let sysroot = run("rustc", &["--print", "sysroot"], root())?;
     let library = Path::new(sysroot.trim()).join("lib/rustlib").join(target);
-    if !library.is_dir() {
-        step(&format!("installing {target} (rustup)"), || {
-            let install = run("rustup", &["target", "add", target], root());
-            install.with_context(|| {
-                format!("the compiler has no {target}: rustup target add {target}")
-            })
-        })?;
+    if library.is_dir() {
+        return Ok(());
     }
-    let mut cargo = Command::new("cargo");
-    cargo.args([command, "--target", target]);
-    // Flags stay in the configuration of the firmware's workspace.
-    for name in [
-        "CARGO",
-        "RUSTFLAGS",
-        "CARGO_ENCODED_RUSTFLAGS",
-        "CARGO_BUILD_RUSTFLAGS",
-        "CARGO_BUILD_TARGET",
-    ] {
-        cargo.env_remove(name);
-    }
-    Ok(cargo)
+    step(&format!("installing {target} (rustup)"), || {
+        let installed = run("rustup", &["target", "add", target], root());
+        installed.with_context(|| format!("firmware needs `rustup target add {target}`"))
+    })?;
+    Ok(())
 }
 
 /// Says what is done, and how long it took if that was long.

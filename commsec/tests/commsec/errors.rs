@@ -2,9 +2,11 @@
 
 use std::error::Error;
 
+use mavlink_commsec::hx::{DecodeError, FrameError};
+use mavlink_commsec::radio::RadioError;
 use mavlink_commsec::{
-    CipherError, DecodeError, EpochCounter, EpochError, FrameError, OpenError, PackError,
-    PermitError, RadioError, SealError, SealingKeyError, SenderId, UnpackError,
+    CipherError, EpochCounter, EpochError, OpenError, PackError, PermitError, SealError,
+    SealingKeyError, SenderId, UnpackError,
 };
 use mavlink_signing::ParseError;
 

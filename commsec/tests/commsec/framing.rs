@@ -1,7 +1,6 @@
 //! Framing: conformance strings, and what is dropped.
 
-use mavlink_commsec::hx::{Decoder, Frame, FrameKind, MAX_ENCODED_SIZE};
-use mavlink_commsec::{DecodeError, FrameError};
+use mavlink_commsec::hx::{DecodeError, Decoder, Frame, FrameError, FrameKind, MAX_ENCODED_SIZE};
 
 use crate::common::{hex, seal};
 use crate::vectors::{FRAMES, STATUS, STATUS_FRAME};

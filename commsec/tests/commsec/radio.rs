@@ -1,7 +1,6 @@
 //! What a host and its radio say to each other.
 
-use mavlink_commsec::RadioError;
-use mavlink_commsec::radio::{Answer, DebugStatus, Request, Status};
+use mavlink_commsec::radio::{Answer, DebugStatus, RadioError, Request, Status};
 
 use crate::common::hex;
 use crate::vectors::{GCS_RADIO, STATUS};

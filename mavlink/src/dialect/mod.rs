@@ -12,7 +12,7 @@
 
 mod tables;
 
-use crate::MessageId;
+use crate::header::MessageId;
 
 /// A dialect's name, and `message_id << 8 | crc_extra` of its messages by ascending id.
 struct Dialect(&'static str, &'static [u32]);

@@ -1,10 +1,8 @@
 //! What became of packets, packages and frames at one end of a sealed link, and how often.
 
-use mavlink_commsec::radio::Status;
-use mavlink_commsec::{
-    DecodeError as FrameDecodeError, OpenError, PackError, RadioError, SealError, SenderId,
-    UnpackError,
-};
+use mavlink_commsec::hx;
+use mavlink_commsec::radio::{RadioError, Status};
+use mavlink_commsec::{OpenError, PackError, SealError, SenderId, UnpackError};
 use mavlink_signing::{DecodeError, ParseError};
 use mavseal_store::ReserveError;
 use strum::{Display, IntoStaticStr, VariantArray};
@@ -128,13 +126,13 @@ impl From<ReserveError> for RejectReason {
     }
 }
 
-impl From<FrameDecodeError> for RejectReason {
-    fn from(error: FrameDecodeError) -> Self {
+impl From<hx::DecodeError> for RejectReason {
+    fn from(error: hx::DecodeError) -> Self {
         match error {
-            FrameDecodeError::Empty => Self::EmptyFrame,
-            FrameDecodeError::TooLong => Self::LongFrame,
-            FrameDecodeError::TruncatedEscape => Self::TruncatedEscape,
-            FrameDecodeError::UnknownKind(_) => Self::UnknownKind,
+            hx::DecodeError::Empty => Self::EmptyFrame,
+            hx::DecodeError::TooLong => Self::LongFrame,
+            hx::DecodeError::TruncatedEscape => Self::TruncatedEscape,
+            hx::DecodeError::UnknownKind(_) => Self::UnknownKind,
             _ => Self::Other,
         }
     }
