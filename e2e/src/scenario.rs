@@ -396,13 +396,9 @@ impl<D: Device> Stage<D> {
                 said && stage.ways.iter().all(|way| way.came.len() >= way.due.len())
             })?;
         }
-        if !self.rows.is_empty() {
-            self.until(|stage| stage.missing_counters().is_empty())?;
-        }
+        self.until(|stage| stage.missing_lines().is_empty())?;
         let mut failures = self.judge();
-        let mut missing = self.missing_counters();
-        missing.extend(self.lines_due.iter().map(|line| (*line).to_owned()));
-        missing.retain(|line| !self.has_logged(line));
+        let missing = self.missing_lines();
         failures.extend(
             missing
                 .iter()
@@ -414,7 +410,7 @@ impl<D: Device> Stage<D> {
         }
         println!(
             "{}\n{:.1} s",
-            table(&rows, D::PASSED),
+            table(&rows, D::PASSED).trim_fmt(),
             begun.elapsed().as_secs_f32()
         );
         failures.extend(self.device.settled().err().map(|error| error.to_string()));
@@ -523,11 +519,14 @@ impl<D: Device> Stage<D> {
         Ok(())
     }
 
-    /// The counters that the log must have in this phase, and has not.
-    fn missing_counters(&self) -> Vec<String> {
-        let mut counters = self.device.counters(self.counts);
-        counters.retain(|counter| !self.has_logged(counter));
-        counters
+    /// The beginnings of lines that the log must have in this phase, and has not.
+    fn missing_lines(&self) -> Vec<String> {
+        let mut lines = Vec::from_iter(self.lines_due.iter().map(|line| (*line).to_owned()));
+        if !self.rows.is_empty() {
+            lines.extend(self.device.counters(self.counts));
+        }
+        lines.retain(|line| !self.has_logged(line));
+        lines
     }
 
     fn has_logged(&self, beginning: &str) -> bool {

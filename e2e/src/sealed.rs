@@ -4,7 +4,11 @@ mod air;
 mod station;
 mod vehicle;
 
-use std::{collections::VecDeque, path::Path};
+use std::{
+    collections::VecDeque,
+    path::Path,
+    time::{SystemTime, UNIX_EPOCH},
+};
 
 use anyhow::{Context, Result, ensure};
 use mavlink_commsec::{Sealer, SealingKey, SenderId, hx};
@@ -34,14 +38,16 @@ const PACKAGE_SIZE: usize = 96;
 const COUNTER: usize = 4;
 const MESSAGE: usize = 40;
 
-/// Plays with fresh keys, over links that do as `seed` says; prints the firmware's log too if `log`. With
+/// Plays with fresh keys, over links that do as `seed`, or the time of day, says; prints the firmware's log too if `log`. With
 /// `other_keys` the stations have others than the vehicle.
 ///
 /// # Errors
 ///
 /// If the firmware does not compile, or something comes out that must not, or does not that must, or for another
 /// reason: with other keys, always.
-pub fn sealed(seed: u64, other_keys: bool, log: bool) -> Result<()> {
+pub fn sealed(seed: Option<u64>, other_keys: bool, log: bool) -> Result<()> {
+    let time = SystemTime::now().duration_since(UNIX_EPOCH)?;
+    let seed = seed.unwrap_or(time.as_micros() as u64);
     let folder = tempfile::tempdir()?;
     let [path, elf] = ["keys.toml", "vehicle.elf"].map(|name| folder.path().join(name));
     let mut keys = KeyFile::generate(STATIONS)?;

@@ -85,7 +85,7 @@ fn run(program: &str, arguments: &[&str], folder: impl AsRef<Path>) -> Result<St
     let errors = String::from_utf8_lossy(&output.stderr);
     let errors = errors.lines().filter(|line| !line.starts_with("W: "));
     let reason: Vec<&str> = removed.as_deref().into_iter().chain(errors).collect();
-    bail!("{program}: {}", reason.join(" "))
+    bail!("{}", reason.join(" "))
 }
 
 /// The program of this name on PATH.
