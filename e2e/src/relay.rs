@@ -12,8 +12,9 @@ use anyhow::{Context, Result, ensure};
 use mavseal_chips_host::{Chip, Image};
 
 use crate::{
+    run,
     scenario::{
-        self, Counts, Device, Phase, Sending,
+        Counts, Device, Phase, Sending,
         Side::{self, Link, Local},
     },
     wire::{self, Frame},
@@ -59,7 +60,7 @@ pub fn signer(elf: &Path, log: bool) -> Result<()> {
         Phase::new("Into the link side: the peer, and what it must not get through")
             .step(Relay::attacks),
     ];
-    scenario::run(relay, elf, phases, log)?;
+    run(relay, elf, phases, log)?.is_complete()?;
     println!("\nEvery frame was signed, verified or rejected as it must be.");
     Ok(())
 }
@@ -108,6 +109,15 @@ impl Relay {
             begun: 0,
             resets: Resets::new(),
         })
+    }
+
+    /// Whether the last frame that came out was whole.
+    fn is_complete(&self) -> Result<()> {
+        ensure!(
+            self.pending.is_empty(),
+            "half a frame came out of the link side"
+        );
+        Ok(())
     }
 
     /// Looks at a frame that came out of the link side; gives it without the signature.
@@ -275,14 +285,6 @@ impl Device for Relay {
 
     fn reset(&mut self) -> [Vec<u8>; 2] {
         self.prepare_for_reset()
-    }
-
-    fn settled(&self) -> Result<()> {
-        ensure!(
-            self.pending.is_empty(),
-            "half a frame came out of the link side"
-        );
-        Ok(())
     }
 }
 

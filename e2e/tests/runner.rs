@@ -13,7 +13,7 @@ use anyhow::{Context, Result, ensure};
 use mavseal_e2e::{
     Machine, Phase, Side,
     relay::{self, Relay},
-    scenario::{self, Sending},
+    scenario::Sending,
     wire,
 };
 
@@ -26,7 +26,7 @@ fn error_of(expect: fn(&mut Sending, Vec<wire::Frame>)) -> Result<String> {
         expect(sending, telemetry[..25].to_vec());
         Ok(())
     });
-    let result = scenario::run(Relay::new()?, &relay::build("relay")?, vec![phase], true);
+    let result = mavseal_e2e::run(Relay::new()?, &relay::build("relay")?, vec![phase], true);
     Ok(format!("{:#}", result.err().context("the play must fail")?))
 }
 
@@ -54,10 +54,13 @@ fn another_reason_is_noticed() -> Result<()> {
 #[test]
 fn another_frame_is_noticed() -> Result<()> {
     let error = error_of(|sending, telemetry| {
-        let others = telemetry.clone().into_iter().rev();
+        let others: Vec<_> = telemetry.iter().rev().cloned().collect();
         sending.passes(Side::Local, "telemetry", telemetry.into_iter().zip(others));
     })?;
-    assert!(error.contains("came out that must not"), "{error}");
+    assert!(
+        error.contains("telemetry: another frame came out"),
+        "{error}"
+    );
     Ok(())
 }
 

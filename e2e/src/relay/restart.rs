@@ -10,8 +10,9 @@ use anyhow::{Context, Result, ensure};
 
 use super::{BEHIND, EACH, LINK_IN, Relay, TICKS_PER_SECOND, ticks_in, ticks_now};
 use crate::{
+    run,
     scenario::{
-        self, Phase, Sending,
+        Phase, Sending,
         Side::{Link, Local},
     },
     wire::{self, Frame},
@@ -83,7 +84,8 @@ pub fn restart(elf: &Path, log: bool) -> Result<()> {
             .step(hears("with the new key", &new))
             .step(Relay::signs),
     ];
-    let relay = scenario::run(relay, elf, phases, log)?;
+    let relay = run(relay, elf, phases, log)?;
+    relay.is_complete()?;
     let seconds = relay
         .resets
         .deaf_for
