@@ -9,10 +9,9 @@ use anyhow::{Context, Result};
 use serde::Deserialize;
 
 use super::{Peers, Report, Row};
-use crate::{
-    firmware::{self, Chip, Image, Rounds},
-    setup::root,
-};
+use mavseal_chips_host::{Chip, Image};
+
+use crate::setup::{self, root};
 use bench::{Bench, Process, script};
 
 /// The link id that the firmware signs for: `chips/qemu-m7/src/bin/relay.rs`.
@@ -32,14 +31,9 @@ const PLAYS: [(&str, Play); 2] = [("pymavlink", pymavlink), ("MAVProxy", mavprox
 
 /// Both, each at a signer that has just started.
 pub(super) fn run(peers: &Peers, report: &mut Report) -> Result<()> {
-    let elf = firmware::build(&Image {
-        chip: Chip::QemuM7,
-        bin: "relay",
-        profile: "release",
-        rounds: Rounds::Looped,
-        features: &["ardupilotmega", "standard-signature"],
-        default_features: true,
-    })?;
+    setup::qemu()?;
+    let features = "ardupilotmega,standard-signature";
+    let elf = Image::logging(Chip::QemuM7, "relay", features).build()?;
     let passphrase = root().join("chips/demo/demo.passphrase");
     let passphrase = fs::read_to_string(&passphrase).context("demo.passphrase")?;
     for (name, play) in PLAYS {

@@ -52,17 +52,17 @@ const INTERNAL_HZ: u32 = 48_000_000;
 const BAUD: u32 = 115_200;
 
 /// The registers, and what is seen on the pins.
-pub(super) struct Peripherals {
+pub(crate) struct Stm32c0 {
     registers: BTreeMap<u32, u32>,
     /// Bytes that the serial port behind USB has sent.
-    pub(super) sent: Vec<u8>,
+    pub(crate) sent: Vec<u8>,
     /// Whether the light is on.
-    pub(super) light: bool,
+    pub(crate) light: bool,
 }
 
-impl Default for Peripherals {
+impl Default for Stm32c0 {
     fn default() -> Self {
-        Peripherals {
+        Stm32c0 {
             registers: REGISTERS.into(),
             sent: Vec::new(),
             light: false,
@@ -70,9 +70,9 @@ impl Default for Peripherals {
     }
 }
 
-impl Peripherals {
+impl Stm32c0 {
     /// Connects them with a processor.
-    pub(super) fn map(
+    pub(crate) fn map(
         this: &Rc<RefCell<Self>>,
         processor: &mut Processor,
     ) -> Result<(), MapConflict> {
@@ -138,7 +138,7 @@ struct Bit(u32, u32);
 struct Group {
     start: u32,
     clock: Option<Bit>,
-    all: Rc<RefCell<Peripherals>>,
+    all: Rc<RefCell<Stm32c0>>,
 }
 
 impl Group {
