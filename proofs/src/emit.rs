@@ -1,5 +1,6 @@
 //! W2: what is emitted is parsed, and what is parsed is emitted.
 
+use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::{Frame, FrameRef, Header, SignError};
 
 use crate::wire::known_and_undamaged;
@@ -10,13 +11,21 @@ use crate::wire::known_and_undamaged;
 ///
 /// # Errors
 ///
-/// What [`Frame::new`] says: a message that is not in the dialect.
+/// What [`Frame::new`] says: a message that is not in the dialect, or more than 255 bytes of payload.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
 pub fn round_trip(header: Header, payload: &[u8], index: usize) -> Result<(), SignError> {
-    let frame = Frame::new(header, payload)?;
+    let made = Frame::new(header, payload);
+    let id = header.message_id;
+    let expected = match (crc_extra(id), payload.len()) {
+        (_, 256..) => Err(SignError::PayloadTooLong(payload.len())),
+        (None, _) => Err(SignError::UnknownMessage(id)),
+        (Some(_), _) => Ok(()),
+    };
+    assert_eq!(made.as_ref().map(drop), expected.as_ref().map(drop));
+    let Ok(frame) = made else { return expected };
     let bytes = frame.as_bytes();
     let parsed = FrameRef::parse(bytes).expect("what is emitted parses");
     assert_eq!(parsed.as_bytes().len(), bytes.len());
@@ -38,6 +47,7 @@ pub fn round_trip(header: Header, payload: &[u8], index: usize) -> Result<(), Si
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::MessageId;
     use proptest::prelude::*;
 
@@ -63,10 +73,16 @@ mod tests {
     }
 
     #[test]
+    fn w2_too_long() {
+        let made = round_trip(HEARTBEAT, &[0; 256], 0);
+        assert_eq!(made, Err(SignError::PayloadTooLong(256)));
+    }
+
+    #[test]
     fn w2_every_length() {
         for length in 0..=255 {
             for index in 0..280 {
-                round_trip(crate::model::HEARTBEAT, &vec![0xFD; length], index).expect("known");
+                round_trip(HEARTBEAT, &vec![0xFD; length], index).expect("known");
             }
         }
     }

@@ -112,7 +112,8 @@ pub fn only_unsigned_is_signed<P: Profile>(
         Packet::Mavlink2(frame) => to_be_signed(frame),
     };
     assert_eq!(signing.as_ref().map(drop), expected.as_ref().map(drop));
-    let (frame, original) = (signing?, packet.as_bytes());
+    let Ok(frame) = signing else { return expected };
+    let original = packet.as_bytes();
     let bytes = frame.as_bytes();
     assert_eq!(bytes.len(), original.len() + SIGNATURE_SIZE);
     assert_eq!(bytes[2], 1);

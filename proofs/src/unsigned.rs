@@ -4,7 +4,7 @@ use core::cell::Cell;
 
 use mavlink_signing::{
     Claim, FrameRef, Packet, Profile, SETUP_SIGNING, SignError, SigningKey, Timestamp, VerifyError,
-    accept_unsigned,
+    accept_unsigned, authenticate,
 };
 use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Verifier};
 
@@ -116,10 +116,20 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
         Ok(_) => Some(Ok(())),
     };
     assert_eq!(asked.get(), u8::from(unsigned == Some(Ok(()))));
-    if let Some(expected) = unsigned {
-        assert_eq!(handed_on.as_ref().map(drop), expected.as_ref().map(drop));
-    }
-    let frame = match handed_on? {
+    let expected = match unsigned {
+        Some(expected) => expected,
+        None if id == SETUP_SIGNING => Err(RejectReason::SetupSigning),
+        None => {
+            let mut replay = receiver.replay();
+            let verdict = authenticate(received, key).and_then(|it| replay.admit(it, now));
+            verdict.map(drop).map_err(RejectReason::from)
+        }
+    };
+    assert_eq!(handed_on.as_ref().map(drop), expected.as_ref().map(drop));
+    let Ok(handed_on) = handed_on else {
+        return expected;
+    };
+    let frame = match handed_on {
         Forwarded::Verified(frame) => {
             assert!(received.is_signed() && id != SETUP_SIGNING);
             assert!(known_and_undamaged(received.as_bytes()).is_ok());
