@@ -1,10 +1,6 @@
 //! `cargo xtask test`: everything that must hold, each step to its end, one verdict.
 
-use std::{
-    fs,
-    process::{Command, Stdio},
-    time::Instant,
-};
+use std::{process::Command, time::Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
@@ -27,8 +23,8 @@ const CORE_TARGETS: [&str; 3] = [
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: every wrong tag, the firmware built by the distribution's
-    /// compiler, 100,000 histories of a link, the mutants of the cores, and unmodified peers
+    /// Also what takes long or installs much: every wrong tag, 100,000 histories of a
+    /// link, the mutants of the cores, and unmodified peers
     #[arg(long)]
     all: bool,
 }
@@ -39,31 +35,21 @@ pub(crate) struct Options {
 /// If a check failed; which and why has been printed.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut checks = Checks::default();
+    checks.step("what the tests need", || {
+        setup::qemu()?;
+        CORE_TARGETS.into_iter().try_for_each(setup::target)
+    });
     checks.step("formatting", formatting);
     checks.step("lints", lints);
     checks.step("documentation", documentation);
     checks.step("host and doc tests", host_tests);
     checks.step("cores alone for microcontrollers", cores_alone);
-    checks.step_unless("firmware lints", firmware_lints);
-    checks.step("signing demo in QEMU", signing_demo);
-    checks.step("demonstration", || demonstration(&[]));
-    checks.step("demonstration with an echo must fail", echo_fails);
-    checks.step("demonstration of restarts", || {
-        demonstration(&["--restart"])
-    });
-    checks.step("demonstration of a sealed link", || {
-        demonstration(&["--seal"])
-    });
-    checks.step(
-        "demonstration with other keys than the vehicle's must fail",
-        other_keys_fail,
-    );
+    checks.step("firmware lints", firmware_lints);
     checks.step("properties and their table", proofs::check);
     checks.step_unless("fast proofs", proofs::fast);
     checks.step("inputs of the fuzz targets, and their table", inputs);
     checks.step_unless("fuzz targets, some seconds each", fuzz::smoke);
     if options.all {
-        checks.step("firmware by the distribution's compiler", distribution);
         checks.step("every wrong tag rejected in constant time", || {
             firmware::run(&firmware::Options {
                 constant_time: true,
@@ -210,27 +196,19 @@ fn inputs() -> Result<()> {
 /// A new chip needs no change to the cores: they build for one that no crate of `chips/` is for.
 fn cores_alone() -> Result<()> {
     for target in CORE_TARGETS {
-        let toolchain = setup::toolchain(target)?;
-        println!("{target}: {toolchain}");
-        let mut cargo = toolchain.cargo("build");
+        println!("{target}");
+        let mut cargo = Command::new("cargo");
         cargo.current_dir(root());
-        cargo.args(["--quiet", "--locked"]);
         cargo
-            .args(mutants::CORES.iter().flat_map(|core| ["-p", core]))
-            .arg("--target-dir")
-            .arg(toolchain.target_dir(&root().join("target")));
+            .args(["build", "--quiet", "--locked", "--target", target])
+            .args(mutants::CORES.iter().flat_map(|core| ["-p", core]));
         succeed(&mut cargo)?;
     }
     Ok(())
 }
 
-fn firmware_lints() -> Result<Option<String>> {
+fn firmware_lints() -> Result<()> {
     for chip in Chip::ALL {
-        let toolchain = setup::toolchain(chip.target())?;
-        let mut version = toolchain.cargo("clippy");
-        if !version.arg("--version").output()?.status.success() {
-            return Ok(Some(format!("{toolchain} has no clippy")));
-        }
         let sealing = match chip {
             Chip::QemuM7 => &["common,sealing", "common,logging,sealing"][..],
             Chip::Stm32c092rc => &[],
@@ -242,69 +220,15 @@ fn firmware_lints() -> Result<Option<String>> {
             "minimal,leaky",
         ];
         for features in signing.iter().chain(sealing) {
-            let mut cargo = toolchain.cargo("clippy");
+            let mut cargo = Command::new("cargo");
             cargo.env(KEYS_VARIABLE, keys()?);
             cargo.current_dir(root().join("chips").join(chip.folder()));
-            cargo.args(["--quiet", "--locked", "--no-default-features"]);
+            cargo.args(["clippy", "--quiet", "--locked", "--no-default-features"]);
+            cargo.args(["--target", chip.target()]);
             cargo.args(["--features", features, "--", "-D", "warnings"]);
             succeed(&mut cargo)?;
         }
     }
-    Ok(None)
-}
-
-/// The signing demo prints what is committed beside it, run as a developer runs it.
-fn signing_demo() -> Result<()> {
-    setup::qemu(&Shell::new()?)?;
-    let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
-    let folder = root().join("chips/qemu-m7");
-    let expected = fs::read_to_string(root().join("chips/demo/demo.out"))?;
-    let mut cargo = toolchain.cargo("run");
-    cargo.current_dir(&folder);
-    cargo.args(["--quiet", "--locked", "--release"]);
-    let output = cargo.stderr(Stdio::inherit()).output()?;
-    let said = String::from_utf8_lossy(&output.stdout);
-    print!("{said}");
-    ensure!(output.status.success(), "it ended with {}", output.status);
-    ensure!(said == expected, "demo.out says otherwise:\n{expected}");
-    Ok(())
-}
-
-/// Runs `cargo xtask demo` as its own process, as its exit status is part of what it promises.
-fn demonstration(arguments: &[&str]) -> Result<()> {
-    let sh = shell(".")?;
-    cmd!(sh, "cargo xtask demo {arguments...}").run()?;
-    Ok(())
-}
-
-fn echo_fails() -> Result<()> {
-    fails(
-        &["--firmware", "echo"],
-        "left the link side unsigned",
-        "the demonstration took an echo for a signer",
-    )
-}
-
-fn other_keys_fail() -> Result<()> {
-    fails(
-        &["--seal", "--other-keys"],
-        "from the vehicle: bad tag",
-        "stations with other keys heard the vehicle",
-    )
-}
-
-/// Runs a demonstration that must fail for this reason; `otherwise` is what has happened if it does not.
-fn fails(arguments: &[&str], reason: &str, otherwise: &str) -> Result<()> {
-    let sh = shell(".")?;
-    let demo = cmd!(sh, "cargo xtask demo {arguments...}").ignore_status();
-    let output = demo.output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(!output.status.success(), "{otherwise}");
-    ensure!(
-        said.contains(reason),
-        "it failed for another reason:\n{said}"
-    );
-    println!("failed, as it must: {reason}");
     Ok(())
 }
 
@@ -317,14 +241,6 @@ fn histories() -> Result<()> {
         "cargo test --quiet --locked --release -p mavseal-relay {test...}"
     )
     .run()?;
-    Ok(())
-}
-
-fn distribution() -> Result<()> {
-    let sh = shell(".")?;
-    sh.set_var("MAVSEAL_TOOLCHAIN", "distribution");
-    cmd!(sh, "cargo xtask firmware").run()?;
-    cmd!(sh, "cargo xtask demo").run()?;
     Ok(())
 }
 

@@ -2,15 +2,14 @@
 
 mod bench;
 mod check;
-mod demo;
 mod firmware;
 mod fuzz;
 mod interop;
 mod keys;
 mod mutants;
 mod page;
+mod plays;
 mod proofs;
-mod qemu;
 mod setup;
 mod tables;
 mod workers;
@@ -31,7 +30,7 @@ enum Verb {
     /// Measure signing and verifying beside peers and the floor, and hold them to their bars
     Bench(bench::Options),
     /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
-    Demo(demo::Options),
+    Demo(plays::Options),
     /// Build the shipped firmware images and hold them to their budgets
     Firmware(firmware::Options),
     /// Fuzz every target over the properties, and say what that reaches
@@ -46,7 +45,7 @@ enum Verb {
     /// Run the proofs with Kani and write what came out to verification.md
     Proofs(proofs::Options),
     /// Run firmware in QEMU, print its log and exit with its status
-    RunQemu(qemu::Options),
+    RunQemu(plays::Options),
     /// Check everything that must hold
     Test(check::Options),
     /// Generate the message tables in `mavlink/src/dialect` from the published definitions
@@ -70,14 +69,14 @@ fn main() -> ExitCode {
 fn run(verb: Verb) -> anyhow::Result<()> {
     match verb {
         Verb::Bench(options) => bench::run(&options),
-        Verb::Demo(options) => demo::run(&options),
+        Verb::Demo(options) => plays::demo(&options),
         Verb::Firmware(options) => firmware::run(&options),
         Verb::Fuzz(options) => fuzz::run(&options),
         Verb::Interop(options) => interop::run(&options),
         Verb::Keys(options) => keys::run(&options),
         Verb::Mutants(options) => mutants::run(&options),
         Verb::Proofs(options) => proofs::run(&options),
-        Verb::RunQemu(options) => qemu::run(&options),
+        Verb::RunQemu(options) => plays::run_qemu(&options),
         Verb::Test(options) => check::run(&options),
         Verb::Tables { check } => tables::run(check),
     }

@@ -10,7 +10,8 @@ use std::{
 use anyhow::{Context, Result, ensure};
 
 use super::{Fuzzer, replay::ReplayGuard, without_engine};
-use crate::demo::wire::telemetry_path;
+use mavseal_e2e::wire::telemetry_path;
+
 use crate::proofs::workshop::files;
 use crate::setup::{root, target_dir};
 

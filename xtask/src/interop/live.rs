@@ -11,7 +11,7 @@ use serde::Deserialize;
 use super::{Peers, Report, Row};
 use mavseal_chips_host::{Chip, Image};
 
-use crate::setup::root;
+use crate::setup::{self, root};
 use bench::{Bench, Process, script};
 
 /// The link id that the firmware signs for: `chips/qemu-m7/src/bin/relay.rs`.
@@ -31,6 +31,7 @@ const PLAYS: [(&str, Play); 2] = [("pymavlink", pymavlink), ("MAVProxy", mavprox
 
 /// Both, each at a signer that has just started.
 pub(super) fn run(peers: &Peers, report: &mut Report) -> Result<()> {
+    setup::qemu()?;
     let features = "ardupilotmega,standard-signature";
     let elf = Image::logging(Chip::QemuM7, "relay", features).build()?;
     let passphrase = root().join("chips/demo/demo.passphrase");

@@ -5,7 +5,7 @@ use std::{env, path::PathBuf, process::Command};
 use anyhow::{Context, Result, ensure};
 use xshell::{Shell, cmd};
 
-use super::{Rustc, apt, find_program};
+use super::{apt, find_program, root, run};
 
 /// The compilers that will do, by the name that `c++` has there.
 const CXX: [&str; 3] = ["c++", "g++", "clang++"];
@@ -27,10 +27,10 @@ pub(crate) fn cargo_fuzz(stable: bool) -> Result<CargoFuzz> {
     let sh = Shell::new()?;
     let cargo_fuzz = CargoFuzz {
         nightly: if stable { None } else { nightly(&sh) },
-        host: Rustc::in_use()?.host,
+        host: host()?,
     };
     if env::var_os("CXX").is_none() && !CXX.iter().any(|name| find_program(name).is_some()) {
-        apt::install(&sh, &["g++"])?;
+        apt::install("g++").context("a C++ compiler is missing: apt-get install g++")?;
     }
     if !cargo_fuzz.is_there() {
         eprintln!("installing cargo-fuzz (cargo install)");
@@ -112,7 +112,15 @@ impl CargoFuzz {
 /// # Errors
 /// If it cannot be asked.
 pub(crate) fn rustc_in_use() -> Result<String> {
-    Ok(Rustc::in_use()?.to_string())
+    let version = run("rustc", &["--version"], root())?;
+    Ok(version.split(' ').take(2).collect::<Vec<_>>().join(" "))
+}
+
+/// What the compiler in use builds for unless it is told otherwise.
+fn host() -> Result<String> {
+    let about = run("rustc", &["--version", "--verbose"], root())?;
+    let host = about.lines().find_map(|line| line.strip_prefix("host: "));
+    Ok(host.context("rustc names no host")?.to_owned())
 }
 
 /// The folder of `llvm-profdata` and `llvm-cov`, of the version that the compiler in use has.
@@ -120,8 +128,9 @@ pub(crate) fn rustc_in_use() -> Result<String> {
 /// # Errors
 /// If rustup's component is missing and cannot be installed.
 pub(crate) fn llvm_tools() -> Result<PathBuf> {
-    let rustc = Rustc::in_use()?;
-    let folder = rustc.rustlib().join(&rustc.host).join("bin");
+    let sysroot = run("rustc", &["--print", "sysroot"], root())?;
+    let library = PathBuf::from(sysroot.trim()).join("lib/rustlib");
+    let folder = library.join(host()?).join("bin");
     if !folder.join("llvm-cov").is_file() {
         let sh = Shell::new()?;
         let add = cmd!(sh, "rustup component add llvm-tools").run();

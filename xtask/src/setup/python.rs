@@ -54,7 +54,8 @@ fn with_venv(sh: &Shell) -> Result<PathBuf> {
     {
         return Ok(python);
     }
-    apt::install(sh, &["python3-venv"])?;
+    apt::install("python3-venv")
+        .context("Python cannot make environments: apt-get install python3-venv")?;
     // The one that the package is for, whatever stands before it on PATH.
     let python = PathBuf::from("/usr/bin/python3");
     python

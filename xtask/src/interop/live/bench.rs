@@ -12,7 +12,9 @@ use std::{
 use anyhow::{Context, Result, bail};
 
 use super::bridge;
-use crate::{qemu::Machine, setup::root};
+use mavseal_e2e::Machine;
+
+use crate::setup::root;
 
 /// How long to wait for anything; a loaded machine is slow.
 const MAX_DELAY: Duration = Duration::from_secs(120);
@@ -29,7 +31,7 @@ pub(super) struct Bench {
 
 impl Bench {
     pub(super) fn boot(python: &Path, elf: &Path) -> Result<Self> {
-        let (machine, [local, link], log) = Machine::boot_between(elf)?;
+        let (machine, [local, link], log) = Machine::boot(elf)?;
         // It speaks when its clock is set and its ports are open.
         let hello = log.recv_timeout(MAX_DELAY);
         let hello = hello.context("the firmware says nothing")?;

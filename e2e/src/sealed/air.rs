@@ -2,6 +2,8 @@
 
 use rand::{Rng, RngExt, SeedableRng, rngs::SmallRng};
 
+use crate::scenario::InAir;
+
 /// Of 100 packages: how many are lost, come twice, and come late.
 const LOST: u32 = 15;
 const DOUBLED: u32 = 10;
@@ -11,14 +13,6 @@ const OVERTAKEN: usize = 4;
 
 /// The way from one sender to one receiver.
 pub(super) struct Air(SmallRng);
-
-/// What became of what was sent.
-pub(super) struct Arrived<T> {
-    /// In the order of arrival
-    pub(super) packages: Vec<T>,
-    pub(super) lost: usize,
-    pub(super) doubled: usize,
-}
 
 impl Air {
     pub(super) fn new(seed: u64, way: u64) -> Self {
@@ -30,8 +24,8 @@ impl Air {
         self.0.random_range(0..100) < of_100
     }
 
-    /// Lets `packages` through, one after the other.
-    pub(super) fn carry<T: Clone>(&mut self, packages: &[T]) -> Arrived<T> {
+    /// Lets `packages` through, one after the other; gives those that arrive, in the order of arrival.
+    pub(super) fn carry<T: Clone>(&mut self, packages: &[T]) -> (Vec<T>, InAir) {
         let (mut lost, mut doubled) = (0, 0);
         let mut slots = Vec::new();
         for (at, package) in packages.iter().enumerate() {
@@ -50,11 +44,16 @@ impl Air {
         }
         // Stable: what has the same slot stays in order.
         slots.sort_by_key(|(slot, _)| *slot);
-        Arrived {
-            packages: slots.into_iter().map(|(_, package)| package).collect(),
-            lost,
-            doubled,
-        }
+        let arrived = slots.into_iter().map(|(_, package)| package).collect();
+        let sent = packages.len();
+        (
+            arrived,
+            InAir {
+                sent,
+                lost,
+                doubled,
+            },
+        )
     }
 
     /// One of `0..below`.
