@@ -1,11 +1,8 @@
 //! Every developer command of mavseal: `cargo xtask <command>`.
 
-mod bench;
 mod check;
-mod firmware;
+mod forward;
 mod fuzz;
-mod interop;
-mod keys;
 mod mutants;
 mod page;
 mod plays;
@@ -28,18 +25,18 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     /// Measure signing and verifying beside peers and the floor, and hold them to their bars
-    Bench(bench::Options),
+    Bench(plays::Options),
     /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
     Demo(plays::Options),
     /// Build the shipped firmware images and hold them to their budgets
-    Firmware(firmware::Options),
+    Firmware(plays::Options),
     /// Fuzz every target over the properties, and say what that reaches
     Fuzz(fuzz::Options),
     /// Hold the standard's signature and sealed packages against other implementations, message by message
     /// and live
-    Interop(interop::Options),
+    Interop(plays::Options),
     /// Make fresh keys for a sealed link, or check those in a key file
-    Keys(keys::Options),
+    Keys(plays::Options),
     /// Try every small change of the cores, which a test must notice
     Mutants(mutants::Options),
     /// Run the proofs with Kani and write what came out to verification.md
@@ -68,12 +65,12 @@ fn main() -> ExitCode {
 
 fn run(verb: Verb) -> anyhow::Result<()> {
     match verb {
-        Verb::Bench(options) => bench::run(&options),
+        Verb::Bench(options) => forward::bench(&options),
         Verb::Demo(options) => plays::demo(&options),
-        Verb::Firmware(options) => firmware::run(&options),
+        Verb::Firmware(options) => forward::firmware(&options),
         Verb::Fuzz(options) => fuzz::run(&options),
-        Verb::Interop(options) => interop::run(&options),
-        Verb::Keys(options) => keys::run(&options),
+        Verb::Interop(options) => forward::interop(&options),
+        Verb::Keys(options) => forward::keys(&options),
         Verb::Mutants(options) => mutants::run(&options),
         Verb::Proofs(options) => proofs::run(&options),
         Verb::RunQemu(options) => plays::run_qemu(&options),

@@ -15,7 +15,7 @@ use std::{
 use anyhow::{Context, Result, bail};
 
 pub(crate) use fuzz::{CargoFuzz, cargo_fuzz, llvm_tools, rustc_in_use};
-pub(crate) use python::python;
+pub(crate) use python::venv;
 pub(crate) use qemu::qemu;
 
 /// The project's folder.
