@@ -37,11 +37,7 @@ pub(crate) fn interop(options: &Options) -> Result<()> {
 /// If Python is missing. It then ends with the status of the program.
 pub(crate) fn bench(options: &Options) -> Result<()> {
     setup::venv()?;
-    cargo(
-        "interop",
-        "run --release --package mavseal-bench --",
-        options,
-    )
+    cargo("interop", "run --package mavseal-bench --", options)
 }
 
 /// The program of `keys/`.
