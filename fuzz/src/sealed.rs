@@ -12,7 +12,7 @@ use mavseal_proofs::cipher::{Specified, Verdict, nonce_of};
 use mavseal_proofs::link::{self, Step};
 use mavseal_proofs::packing::Kind;
 use mavseal_proofs::{framing, opening, packing, sealing};
-use mavseal_relay::sealed::RejectReason;
+use mavseal_relay::sealed::SealedRejectReason;
 use ring::aead::{AES_128_GCM, Aad, LessSafeKey, Nonce, UnboundKey};
 use std::error::Error as _;
 use std::time::Duration;
@@ -67,7 +67,7 @@ fn arrives<H: Specified>(input: &Arrival<'_>) {
     let limit = input.limit.into();
     let mut opener = receiver::<H>(input.shared, lasts, limit);
     let verdict = opening::step(&mut opener, limit, input.shared, &package, right);
-    reached(verdict.map_err(RejectReason::from));
+    reached(verdict.map_err(SealedRejectReason::from));
     reached(verdict);
 
     let opened = receiver::<H>(input.shared, lasts, u32::MAX).open(&package);

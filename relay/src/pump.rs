@@ -1,20 +1,18 @@
-//! One direction: bytes in, packets treated, frames out, without waiting.
+//! One direction: bytes in, packets treated, frames out.
 
-use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Frame, FrameRef, KeyRing, Profile};
+use mavlink_signing::{Frame, FrameRef, KeyRing, LinkClock, Profile};
 
 use crate::direction::PacketHandler;
-use crate::event::{Counters, Event, RejectedPacket};
-use crate::port::{PacketReader, PortError, send};
-use crate::{Clock, Link};
+use crate::event::{Counters, Event, RejectReason, RejectedPacket};
+use crate::reader::PacketReader;
 
 /// A direction of the relay.
 #[derive(Debug)]
 pub(crate) struct Pump<T> {
-    reader: PacketReader,
-    handler: T,
+    pub(crate) reader: PacketReader,
+    pub(crate) handler: T,
     sending: Option<Sending>,
-    counters: Counters,
+    pub(crate) counters: Counters,
 }
 
 /// A frame of which `sent` bytes have left.
@@ -25,19 +23,38 @@ struct Sending {
 }
 
 impl<T> Pump<T> {
-    pub(crate) const fn counters(&self) -> &Counters {
-        &self.counters
+    /// What is left of the frame that goes out.
+    pub(crate) fn pending(&self) -> &[u8] {
+        match &self.sending {
+            Some(sending) => sending
+                .frame
+                .as_bytes()
+                .get(sending.sent..)
+                .unwrap_or_default(),
+            None => &[],
+        }
     }
 
-    pub(crate) const fn handler_mut(&mut self) -> &mut T {
-        &mut self.handler
+    /// Takes note of `count` bytes that have left; whether the frame has left with them.
+    pub(crate) fn sent(&mut self, count: usize) -> bool {
+        let Some(Sending { frame, sent }) = &mut self.sending else {
+            return false;
+        };
+        *sent = sent.saturating_add(count);
+        let left = *sent >= frame.as_bytes().len();
+        if left {
+            self.sending = None;
+        }
+        left
     }
 
-    /// The frame of which no byte has left: every frame is here when a turn has ended in which it was
-    /// made.
-    pub(crate) fn unsent(&self) -> Option<FrameRef<'_>> {
-        let sending = self.sending.as_ref().filter(|sending| sending.sent == 0)?;
-        FrameRef::parse(sending.frame.as_bytes()).ok()
+    /// When the line that is read will have been silent for long. While a frame waits to go out, the
+    /// sender on that line may be held back, and that is no silence.
+    pub(crate) fn idle_at(&self) -> Option<u64> {
+        if self.sending.is_some() {
+            return None;
+        }
+        self.reader.idle_at()
     }
 }
 
@@ -61,51 +78,33 @@ impl<T: PacketHandler> Pump<T> {
         }
     }
 
-    /// One turn; whether there is more to do at once.
-    pub(crate) fn poll<P: Profile, Input: Read + ReadReady, Output: Write + WriteReady>(
+    /// Looks at packets that have arrived until one becomes a frame to send, which is given, or no more are there.
+    pub(crate) fn advance<P: Profile>(
         &mut self,
-        input: &mut Input,
-        output: &mut Output,
-        link: &mut Link<P>,
-        clock: &mut impl Clock,
+        keys: &mut KeyRing<P>,
+        clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
-    ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let now = clock.timer();
-        let sent = self.send(output)?;
-        if sent || self.sending.is_some() {
-            self.reader.restart_idle_timer(now);
-        }
+    ) -> Option<FrameRef<'_>> {
         // The frame being sent is the bound on memory: no next one before it has left.
         if self.sending.is_some() {
-            return Ok(sent);
+            return None;
         }
-        if self.process_next(&mut link.keys, clock, observe) {
-            return Ok(true);
-        }
-        let received = self.reader.receive(input, link.idle, now)?;
-        Ok(sent || received)
+        while self.sending.is_none() && self.process_next(keys, clock, observe) {}
+        FrameRef::parse(self.sending.as_ref()?.frame.as_bytes()).ok()
     }
 
-    /// Writes what is left of the frame being sent; whether any byte left.
-    fn send<InputError, Output: Write + WriteReady>(
-        &mut self,
-        output: &mut Output,
-    ) -> Result<bool, PortError<InputError, Output::Error>> {
-        let Some(Sending { frame, sent }) = &mut self.sending else {
-            return Ok(false);
-        };
-        let moved = send(output, frame.as_bytes(), sent)?;
-        if *sent >= frame.as_bytes().len() {
-            self.sending = None;
+    /// Drops the frame that was to go out, if there is one.
+    pub(crate) fn drop_frame(&mut self, observe: &mut impl FnMut(Event)) {
+        if self.sending.take().is_some() {
+            self.reject(RejectReason::LineClosed, None, observe);
         }
-        Ok(moved)
     }
 
     /// Looks at the next packet that has arrived; whether there was one.
     fn process_next<P: Profile>(
         &mut self,
         keys: &mut KeyRing<P>,
-        clock: &mut impl Clock,
+        clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let decoded = self.reader.read();
@@ -125,11 +124,18 @@ impl<T: PacketHandler> Pump<T> {
                 self.counters.count_passed(event);
                 observe(event);
             }
-            Some(Err((rejection, rejected))) => {
-                self.counters.count_rejected(rejection, rejected);
-                observe(Event::Rejected(T::DIRECTION, rejection));
-            }
+            Some(Err((rejection, rejected))) => self.reject(rejection, rejected, observe),
         }
         true
+    }
+
+    fn reject(
+        &mut self,
+        reason: RejectReason,
+        packet: Option<RejectedPacket>,
+        observe: &mut impl FnMut(Event),
+    ) {
+        self.counters.count_rejected(reason, packet);
+        observe(Event::Rejected(T::DIRECTION, reason));
     }
 }
