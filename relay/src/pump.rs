@@ -9,8 +9,14 @@ use crate::reader::PacketReader;
 /// A direction of the relay.
 #[derive(Debug)]
 pub(crate) struct Pump<T> {
-    pub(crate) reader: PacketReader,
+    pub(crate) lane: Lane,
     pub(crate) handler: T,
+}
+
+/// What a direction holds, whatever is done to its packets.
+#[derive(Debug)]
+pub(crate) struct Lane {
+    pub(crate) reader: PacketReader,
     sending: Option<Sending>,
     pub(crate) counters: Counters,
 }
@@ -22,17 +28,13 @@ struct Sending {
     sent: usize,
 }
 
-impl<T> Pump<T> {
+impl Lane {
     /// What is left of the frame that goes out.
     pub(crate) fn pending(&self) -> &[u8] {
-        match &self.sending {
-            Some(sending) => sending
-                .frame
-                .as_bytes()
-                .get(sending.sent..)
-                .unwrap_or_default(),
-            None => &[],
-        }
+        let sending = self.sending.as_ref();
+        sending
+            .and_then(|sending| sending.frame.as_bytes().get(sending.sent..))
+            .unwrap_or_default()
     }
 
     /// Takes note of `count` bytes that have left; whether the frame has left with them.
@@ -48,6 +50,15 @@ impl<T> Pump<T> {
         left
     }
 
+    /// Drops the frame that was to go out; whether there was one.
+    pub(crate) fn drop_frame(&mut self) -> bool {
+        let dropped = self.sending.take().is_some();
+        if dropped {
+            self.counters.count_rejected(RejectReason::LineClosed, None);
+        }
+        dropped
+    }
+
     /// When the line that is read will have been silent for long. While a frame waits to go out, the
     /// sender on that line may be held back, and that is no silence.
     pub(crate) fn idle_at(&self) -> Option<u64> {
@@ -61,20 +72,20 @@ impl<T> Pump<T> {
 impl<T: PacketHandler> Pump<T> {
     pub(crate) fn new(handler: T) -> Self {
         Self {
-            reader: PacketReader::new(T::RESYNC),
+            lane: Lane {
+                reader: PacketReader::new(T::RESYNC),
+                sending: None,
+                counters: Counters::default(),
+            },
             handler,
-            sending: None,
-            counters: Counters::default(),
         }
     }
 
     /// The same direction, which treats packets otherwise from now on.
     pub(crate) fn map<U: PacketHandler>(self, change: impl FnOnce(T) -> U) -> Pump<U> {
         Pump {
-            reader: self.reader,
+            lane: self.lane,
             handler: change(self.handler),
-            sending: self.sending,
-            counters: self.counters,
         }
     }
 
@@ -86,18 +97,11 @@ impl<T: PacketHandler> Pump<T> {
         observe: &mut impl FnMut(Event),
     ) -> Option<FrameRef<'_>> {
         // The frame being sent is the bound on memory: no next one before it has left.
-        if self.sending.is_some() {
+        if self.lane.sending.is_some() {
             return None;
         }
-        while self.sending.is_none() && self.process_next(keys, clock, observe) {}
-        FrameRef::parse(self.sending.as_ref()?.frame.as_bytes()).ok()
-    }
-
-    /// Drops the frame that was to go out, if there is one.
-    pub(crate) fn drop_frame(&mut self, observe: &mut impl FnMut(Event)) {
-        if self.sending.take().is_some() {
-            self.reject(RejectReason::LineClosed, None, observe);
-        }
+        while self.lane.sending.is_none() && self.process_next(keys, clock, observe) {}
+        FrameRef::parse(self.lane.sending.as_ref()?.frame.as_bytes()).ok()
     }
 
     /// Looks at the next packet that has arrived; whether there was one.
@@ -107,35 +111,29 @@ impl<T: PacketHandler> Pump<T> {
         clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
     ) -> bool {
-        let decoded = self.reader.read();
+        let Self { lane, handler } = self;
+        let decoded = lane.reader.read();
         let processed = decoded.map(|decoded| match decoded {
             Ok(packet) => {
-                let processed = self.handler.process(packet, keys, clock);
+                let processed = handler.process(packet, keys, clock);
                 processed
                     .map_err(|rejection| (rejection, Some(RejectedPacket::new(&packet, rejection))))
             }
             Err(error) => Err((error.into(), None)),
         });
-        self.counters.set_dropped(self.reader.dropped());
+        lane.counters.set_dropped(lane.reader.dropped());
         match processed {
             None => return false,
             Some(Ok((frame, event))) => {
-                self.sending = Some(Sending { frame, sent: 0 });
-                self.counters.count_passed(event);
+                lane.sending = Some(Sending { frame, sent: 0 });
+                lane.counters.count_passed(event);
                 observe(event);
             }
-            Some(Err((rejection, rejected))) => self.reject(rejection, rejected, observe),
+            Some(Err((rejection, rejected))) => {
+                lane.counters.count_rejected(rejection, rejected);
+                observe(Event::Rejected(T::DIRECTION, rejection));
+            }
         }
         true
-    }
-
-    fn reject(
-        &mut self,
-        reason: RejectReason,
-        packet: Option<RejectedPacket>,
-        observe: &mut impl FnMut(Event),
-    ) {
-        self.counters.count_rejected(reason, packet);
-        observe(Event::Rejected(T::DIRECTION, reason));
     }
 }

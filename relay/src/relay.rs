@@ -9,9 +9,8 @@ use mavlink_signing::{
 
 use crate::direction::{ForwardMode, Signer, Verifier};
 use crate::endpoint::{Endpoint, LineEvent, Side};
-use crate::event::{Counters, Event};
-use crate::pump::Pump;
-use crate::reader::PacketReader;
+use crate::event::{Counters, Direction, Event, RejectReason};
+use crate::pump::{Lane, Pump};
 
 /// The ids of the two directions are the same, so that a frame sent out and reflected would be
 /// taken for the peer's. Whoever set up the link is at fault.
@@ -44,8 +43,8 @@ pub struct Relay<P, R = ReplayGuard, U = RejectUnsigned> {
 impl<P, R, U> fmt::Debug for Relay<P, R, U> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Relay")
-            .field("outbound", &self.outbound.counters)
-            .field("inbound", &self.inbound.counters)
+            .field("outbound", &self.outbound.lane.counters)
+            .field("inbound", &self.inbound.lane.counters)
             .finish_non_exhaustive()
     }
 }
@@ -99,8 +98,8 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
     /// packet, such as a radio's slots make.
     #[must_use]
     pub const fn idle(mut self, ticks: u64) -> Self {
-        self.outbound.reader.set_idle(ticks);
-        self.inbound.reader.set_idle(ticks);
+        self.outbound.lane.reader.set_idle(ticks);
+        self.inbound.lane.reader.set_idle(ticks);
         self
     }
 
@@ -125,19 +124,20 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
     /// What has been signed and rejected on its way from the local to the link side.
     #[must_use]
     pub const fn outbound(&self) -> &Counters {
-        &self.outbound.counters
+        &self.outbound.lane.counters
     }
 
     /// What has been verified and rejected on its way from the link to the local side.
     #[must_use]
     pub const fn inbound(&self) -> &Counters {
-        &self.inbound.counters
+        &self.inbound.lane.counters
     }
 
-    const fn reader(&mut self, side: Side) -> &mut PacketReader {
+    /// What came in on `side` and goes out on the other.
+    const fn from(&mut self, side: Side) -> &mut Lane {
         match side {
-            Side::Local => &mut self.outbound.reader,
-            Side::Link => &mut self.inbound.reader,
+            Side::Local => &mut self.outbound.lane,
+            Side::Link => &mut self.inbound.lane,
         }
     }
 
@@ -167,8 +167,8 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
 
     fn room(&self, side: Side) -> usize {
         match side {
-            Side::Local => self.outbound.reader.room(),
-            Side::Link => self.inbound.reader.room(),
+            Side::Local => self.outbound.lane.reader.room(),
+            Side::Link => self.inbound.lane.reader.room(),
         }
     }
 
@@ -179,22 +179,22 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
         clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
     ) -> usize {
-        let mut taken = 0;
+        let now = clock.monotonic();
+        let mut rest = bytes;
         loop {
-            let rest = bytes.get(taken..).unwrap_or_default();
-            let count = self.reader(side).write(rest, clock.monotonic());
+            let count = self.from(side).reader.write(rest, now);
             if count == 0 {
-                return taken;
+                return bytes.len() - rest.len();
             }
-            taken += count;
+            rest = rest.get(count..).unwrap_or_default();
             self.advance(side, clock, observe);
         }
     }
 
     fn pending(&self, side: Side) -> &[u8] {
         match side {
-            Side::Local => self.inbound.pending(),
-            Side::Link => self.outbound.pending(),
+            Side::Local => self.inbound.lane.pending(),
+            Side::Link => self.outbound.lane.pending(),
         }
     }
 
@@ -205,13 +205,10 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
         clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
     ) {
-        let left = match side {
-            Side::Local => self.inbound.sent(count),
-            Side::Link => self.outbound.sent(count),
-        };
-        if left {
-            let from = side.other();
-            self.reader(from).restart_idle_timer(clock.monotonic());
+        let from = side.other();
+        let lane = self.from(from);
+        if lane.sent(count) {
+            lane.reader.restart_idle_timer(clock.monotonic());
             self.advance(from, clock, observe);
         }
     }
@@ -223,36 +220,36 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
         clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
     ) {
-        let reader = self.reader(side);
-        match event {
-            LineEvent::Idle => reader.silent(),
-            _ => reader.fault(clock.monotonic()),
+        let reader = &mut self.from(side).reader;
+        match (event, side) {
+            (LineEvent::Idle, _) => reader.silent(),
+            (_, Side::Local) => reader.deafen(clock.monotonic()),
+            (_, Side::Link) => reader.fault(),
         }
         self.advance(side, clock, observe);
-        if event == LineEvent::Closed {
-            match side {
-                Side::Local => self.inbound.drop_frame(observe),
-                Side::Link => self.outbound.drop_frame(observe),
-            }
+        if event == LineEvent::Closed && self.from(side.other()).drop_frame() {
+            let direction = match side {
+                Side::Local => Direction::Inbound,
+                Side::Link => Direction::Outbound,
+            };
+            observe(Event::Rejected(direction, RejectReason::LineClosed));
             self.advance(side.other(), clock, observe);
         }
     }
 
     fn poll_at(&self) -> Option<u64> {
-        let deadlines = [self.outbound.idle_at(), self.inbound.idle_at()];
+        let deadlines = [self.outbound.lane.idle_at(), self.inbound.lane.idle_at()];
         deadlines.into_iter().flatten().min()
     }
 
     fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(Event)) {
         let now = clock.monotonic();
-        let is_due = |at: Option<u64>| at.is_some_and(|at| now >= at);
-        if is_due(self.outbound.idle_at()) {
-            self.outbound.reader.silent();
-            self.advance(Side::Local, clock, observe);
-        }
-        if is_due(self.inbound.idle_at()) {
-            self.inbound.reader.silent();
-            self.advance(Side::Link, clock, observe);
+        for side in [Side::Local, Side::Link] {
+            let lane = self.from(side);
+            if lane.idle_at().is_some_and(|at| now >= at) {
+                lane.reader.silent();
+                self.advance(side, clock, observe);
+            }
         }
     }
 }

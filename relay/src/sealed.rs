@@ -273,7 +273,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
         let now = clock.monotonic();
         match (side, event) {
             (Side::Local, LineEvent::Idle) => outward.reader.silent(),
-            (Side::Local, _) => outward.reader.fault(now),
+            (Side::Local, _) => outward.reader.deafen(now),
             // A frame from the radio ends with a byte of its own.
             (Side::Link, LineEvent::Idle) => {}
             (Side::Link, _) => inward.decoder = hx::Decoder::new(),
