@@ -13,7 +13,7 @@ use std::{
 
 use anyhow::{Context, Result, bail};
 
-pub(crate) use python::python;
+pub(crate) use python::venv;
 pub(crate) use qemu::qemu;
 
 /// The project's folder.

@@ -3,17 +3,21 @@
 mod bench;
 mod bridge;
 
-use std::{collections::BTreeMap, fs, process::Command};
+use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
-use serde::Deserialize;
-
-use super::{Peers, Report, Row};
 use mavseal_chips_host::{Chip, Image};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
 
-use crate::setup::{self, root};
-use bench::{Bench, Process, script};
+use crate::{
+    hex, python,
+    report::{Judge, Row},
+};
+use bench::{Bench, Process};
 
+/// Public, as the firmware has it.
+const PASSPHRASE: &str = include_str!("../../chips/demo/demo.passphrase");
 /// The link id that the firmware signs for: `chips/qemu-m7/src/bin/relay.rs`.
 const LINK_OUT: u8 = 1;
 /// Another.
@@ -25,28 +29,34 @@ const COMMAND: u16 = 512;
 const HEARTBEATS: usize = 8;
 
 /// One that takes part, from its beginning to its end.
-type Play = fn(&mut Bench, &Peers, &str, &mut Report) -> Result<()>;
+type Play = fn(&mut Bench, &Path, &mut Judge) -> Result<()>;
 
 const PLAYS: [(&str, Play); 2] = [("pymavlink", pymavlink), ("MAVProxy", mavproxy)];
 
 /// Both, each at a signer that has just started.
-pub(super) fn run(peers: &Peers, report: &mut Report) -> Result<()> {
-    setup::qemu()?;
+pub(crate) fn run(python: &Path, judge: &mut Judge) -> Result<()> {
     let features = "ardupilotmega,standard-signature";
     let elf = Image::logging(Chip::QemuM7, "relay", features).build()?;
-    let passphrase = root().join("chips/demo/demo.passphrase");
-    let passphrase = fs::read_to_string(&passphrase).context("demo.passphrase")?;
     for (name, play) in PLAYS {
         println!("live: {name}, a signer in QEMU, a vehicle");
-        let mut bench = Bench::boot(&peers.python, &elf)?;
-        let failed = report.failures.len();
-        play(&mut bench, peers, &passphrase, report)
+        let mut bench = Bench::boot(python, &elf)?;
+        let failed = judge.failed();
+        play(&mut bench, python, judge)
             .with_context(|| format!("{name}, live; the firmware's log:{}", bench.log()))?;
-        if report.failures.len() > failed {
+        if judge.failed() > failed {
             println!("  the firmware's log:{}", bench.log());
         }
     }
     Ok(())
+}
+
+/// Fails for each check that is not right, in its own words.
+fn fail_unless(judge: &mut Judge, peer: &str, checks: impl IntoIterator<Item = (bool, String)>) {
+    for (_, what) in checks.into_iter().filter(|(right, _)| !right) {
+        judge.fail(format!("{peer}, live: {what}"), || {
+            "the firmware's log is above".to_owned()
+        });
+    }
 }
 
 /// A command that was sent or came: system, command, first parameter.
@@ -77,16 +87,9 @@ struct Ground {
     adopted: u8,
 }
 
-fn pymavlink(
-    bench: &mut Bench,
-    peers: &Peers,
-    passphrase: &str,
-    report: &mut Report,
-) -> Result<()> {
-    let python = &peers.python;
-    let digest = hmac_sha256::Hash::hash(passphrase.as_bytes());
-    let key: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
-    let mut ground = script(python, "ground.py");
+fn pymavlink(bench: &mut Bench, python: &Path, judge: &mut Judge) -> Result<()> {
+    let key = hex::encode(&Sha256::digest(PASSPHRASE));
+    let mut ground = python::script(python, "ground.py");
     ground.args([&bench.link.to_string(), &key, &LINK_IN.to_string()]);
     let ground = Process::start(&mut ground)?.wait_for("{")?;
     let ground: Ground = serde_json::from_str(&ground).context("ground.py")?;
@@ -138,24 +141,23 @@ fn pymavlink(
             format!("{passed} authentic frames sent, the signer says {verified:?}"),
         ),
     ];
-    report.fail_unless("pymavlink", checks);
-    let version = bench::version(python, "pymavlink")?;
+    fail_unless(judge, "pymavlink", checks);
+    let version = python::version(python, "pymavlink")?;
     let peer = ("pymavlink", version.as_str());
     let both_ways = [(frames, ground.signed), (passed, verified.0)];
-    report.rows.extend(rows(peer, &vehicle, both_ways));
+    rows(judge, peer, &vehicle, both_ways);
     Ok(())
 }
 
-fn mavproxy(bench: &mut Bench, peers: &Peers, passphrase: &str, report: &mut Report) -> Result<()> {
-    let python = &peers.python;
-    let home = peers.folder.join("mavproxy");
+fn mavproxy(bench: &mut Bench, python: &Path, judge: &mut Judge) -> Result<()> {
+    let home = python::folder(python)?.join("mavproxy");
     fs::create_dir_all(&home)?;
     let mut station = Command::new(python);
     station
         .arg("-u")
         .arg(python.with_file_name("mavproxy.py"))
         .arg(format!("--master=tcp:127.0.0.1:{}", bench.link))
-        .arg(format!("--cmd=signing key {passphrase}"))
+        .arg(format!("--cmd=signing key {PASSPHRASE}"))
         .args([
             "--default-modules=signing,link,cmdlong",
             "--state-basedir=.",
@@ -199,12 +201,12 @@ fn mavproxy(bench: &mut Bench, peers: &Peers, passphrase: &str, report: &mut Rep
             format!("{came} frames came to the vehicle, the signer says {verified:?}"),
         ),
     ];
-    report.fail_unless("MAVProxy", checks);
+    fail_unless(judge, "MAVProxy", checks);
     let packets = packets(&link)?;
-    let version = bench::version(python, "MAVProxy")?;
+    let version = python::version(python, "MAVProxy")?;
     let peer = ("MAVProxy", version.as_str());
     let both_ways = [(packets, packets), (came, verified.0)];
-    report.rows.extend(rows(peer, &vehicle, both_ways));
+    rows(judge, peer, &vehicle, both_ways);
     Ok(())
 }
 
@@ -217,23 +219,24 @@ fn packets(link: &str) -> Result<usize> {
 
 /// What a peer and the vehicle said to each other: downwards, then upwards, frames and how many agreed.
 fn rows(
+    judge: &mut Judge,
     (peer, version): (&str, &str),
     vehicle: &Vehicle,
     [down, up]: [(usize, usize); 2],
-) -> [Row; 2] {
-    let row = |direction: &str, kinds: &BTreeMap<_, _>, (frames, agreed)| Row {
-        peer: peer.into(),
-        version: version.into(),
-        direction: direction.into(),
-        messages: kinds.len(),
-        frames,
-        agreed,
-        differences: Vec::new(),
+) {
+    let mut row = |direction, kinds: &BTreeMap<_, _>, (frames, agreed)| {
+        judge.row(Row {
+            peer: peer.into(),
+            version: version.into(),
+            direction,
+            messages: kinds.len(),
+            frames,
+            agreed,
+            ..Row::default()
+        });
     };
-    [
-        row("live, vehicle to ground", &vehicle.sent, down),
-        row("live, ground to vehicle", &vehicle.came, up),
-    ]
+    row("live, vehicle to ground", &vehicle.sent, down);
+    row("live, ground to vehicle", &vehicle.came, up);
 }
 
 #[cfg(test)]

@@ -10,11 +10,10 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
-
-use super::bridge;
 use mavseal_e2e::Machine;
 
-use crate::setup::root;
+use super::bridge;
+use crate::python;
 
 /// How long to wait for anything; a loaded machine is slow.
 const MAX_DELAY: Duration = Duration::from_secs(120);
@@ -36,7 +35,7 @@ impl Bench {
         let hello = log.recv_timeout(MAX_DELAY);
         let hello = hello.context("the firmware says nothing")?;
         let local = bridge::open(local)?;
-        let mut vehicle = script(python, "vehicle.py");
+        let mut vehicle = python::script(python, "vehicle.py");
         vehicle.arg(local.to_string());
         Ok(Self {
             link: bridge::open(link)?,
@@ -83,20 +82,6 @@ impl Bench {
         });
         counters.with_context(|| format!("the firmware has not logged what it {passed}"))
     }
-}
-
-/// A call of a script of `interop/python`.
-pub(super) fn script(python: &Path, name: &str) -> Command {
-    let mut command = Command::new(python);
-    command.arg(root().join("interop/python").join(name));
-    command
-}
-
-/// The installed version of a package.
-pub(super) fn version(python: &Path, package: &str) -> Result<String> {
-    let ask = format!("import importlib.metadata as m; print(m.version('{package}'))");
-    let output = Command::new(python).args(["-c", &ask]).output()?;
-    Ok(String::from_utf8(output.stdout)?.trim().to_owned())
 }
 
 /// A program whose output is looked at line by line; ends with the value.
