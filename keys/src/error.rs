@@ -9,12 +9,20 @@ use crate::field::MAX_STATIONS;
 #[non_exhaustive]
 pub enum KeyFileError {
     /// The file cannot be read or written.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("{path}: {error}", path = path.display())]
     Io {
         /// Which file.
         path: PathBuf,
-        /// Why.
-        source: io::Error,
+        /// Why. No [`source`](std::error::Error::source): whoever prints those too would say it twice.
+        error: io::Error,
+    },
+    /// What is wrong with the content of a file that was read.
+    #[error("{path}: {fault}", path = path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: Box<KeyFileError>,
     },
     /// TOML is not written to a name that is read as Keys.mk.
     #[error("a file whose name ends in .mk is read as SMACCMPilot's Keys.mk: choose another name")]

@@ -148,15 +148,19 @@ impl KeyFile {
     ///
     /// # Errors
     ///
-    /// [`KeyFileError`], whatever is wrong first.
+    /// [`KeyFileError::Io`], or [`KeyFileError::Content`] with whatever is wrong first.
     pub fn read(path: &Path, exceptions: Exceptions) -> Result<Self, KeyFileError> {
-        let text = fs::read_to_string(path).map_err(|source| io_error(path, source))?;
+        let text = fs::read_to_string(path).map_err(|error| io_error(path, error))?;
         let text = Zeroizing::new(text);
-        if is_keys_mk(path) {
+        let read = if is_keys_mk(path) {
             Self::from_keys_mk(&text, exceptions)
         } else {
             Self::from_toml(&text, exceptions)
-        }
+        };
+        read.map_err(|fault| KeyFileError::Content {
+            path: path.to_owned(),
+            fault: Box::new(fault),
+        })
     }
 
     /// The file with this content.
@@ -165,6 +169,7 @@ impl KeyFile {
     ///
     /// [`KeyFileError`], whatever is wrong first.
     pub fn from_toml(text: &str, exceptions: Exceptions) -> Result<Self, KeyFileError> {
+        let text = without_mark(text);
         let written: Written = toml::from_str(text).map_err(|error| syntax(text, &error))?;
         let header = HeaderKind::named(&written.header).ok_or(KeyFileError::UnknownHeader)?;
         let stations = written.stations.into_iter().map(SenderKeys::try_from);
@@ -184,7 +189,7 @@ impl KeyFile {
     ///
     /// [`KeyFileError`], whatever is wrong first.
     pub fn from_keys_mk(text: &str, exceptions: Exceptions) -> Result<Self, KeyFileError> {
-        let mut variables = Variables::read(text)?;
+        let mut variables = Variables::read(without_mark(text))?;
         let mut sender = |id, key, salt| {
             Ok(SenderKeys {
                 id: variables.number(id, MAX_OLD_ID)?,
@@ -326,15 +331,13 @@ impl KeyFile {
         options.write(true).create_new(true);
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let mut file = options
-            .open(path)
-            .map_err(|source| io_error(path, source))?;
+        let mut file = options.open(path).map_err(|error| io_error(path, error))?;
         let written = file.write_all(self.to_toml().as_bytes());
         let written = written.and_then(|()| file.sync_all());
-        written.map_err(|source| {
+        written.map_err(|error| {
             // Of two errors the first one is returned.
             let _ = fs::remove_file(path);
-            io_error(path, source)
+            io_error(path, error)
         })
     }
 }
@@ -344,10 +347,15 @@ fn is_keys_mk(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "mk")
 }
 
-fn io_error(path: &Path, source: io::Error) -> KeyFileError {
+/// Without the byte order mark that some editors write.
+fn without_mark(text: &str) -> &str {
+    text.strip_prefix('\u{FEFF}').unwrap_or(text)
+}
+
+fn io_error(path: &Path, error: io::Error) -> KeyFileError {
     KeyFileError::Io {
         path: path.to_owned(),
-        source,
+        error,
     }
 }
 

@@ -1,14 +1,10 @@
 //! Every developer command of mavseal: `cargo xtask COMMAND`.
 
-mod bench;
-mod demo;
-mod firmware;
+mod forward;
 mod fuzz;
-mod interop;
-mod keys;
 mod mutants;
+mod plays;
 mod proofs;
-mod qemu;
 mod release_page;
 mod setup;
 mod sources;
@@ -29,24 +25,24 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Measure signing and verifying beside peers and the floor, and hold them to their bars
-    Bench(bench::Options),
+    Bench(plays::Options),
     /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
-    Demo(demo::Options),
+    Demo(plays::Options),
     /// Build the shipped firmware images and hold them to their budgets
-    Firmware(firmware::Options),
+    Firmware(plays::Options),
     /// Fuzz the properties: shortly, for long, with mutants, or to see what is reached
     Fuzz(fuzz::Options),
     /// Hold the standard's signature and sealed packages against other implementations, message by message
     /// and live
-    Interop(interop::Options),
+    Interop(plays::Options),
     /// Make fresh keys for a sealed link, or check those in a key file
-    Keys(keys::Options),
+    Keys(plays::Options),
     /// Run the proofs with Kani, or show with mutants that proofs and tests can fail
     Proofs(proofs::Options),
     /// Write verification/vX.Y.Z.md from the results of this commit
     ReleasePage(release_page::Options),
     /// Run firmware in QEMU, print its log and exit with its status
-    RunQemu(qemu::Options),
+    RunQemu(plays::Options),
     /// Check everything that must hold
     Test(test::Options),
     /// Generate the message tables in `mavlink/src/dialect` from the published definitions
@@ -69,15 +65,15 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Bench(options) => bench::run(&options),
-        Command::Demo(options) => demo::run(&options),
-        Command::Firmware(options) => firmware::run(&options),
+        Command::Bench(options) => forward::bench(&options),
+        Command::Demo(options) => plays::demo(&options),
+        Command::Firmware(options) => forward::firmware(&options),
         Command::Fuzz(options) => fuzz::run(&options),
-        Command::Interop(options) => interop::run(&options),
-        Command::Keys(options) => keys::run(&options),
+        Command::Interop(options) => forward::interop(&options),
+        Command::Keys(options) => forward::keys(&options),
         Command::Proofs(options) => proofs::run(&options),
         Command::ReleasePage(options) => release_page::run(&options),
-        Command::RunQemu(options) => qemu::run(&options),
+        Command::RunQemu(options) => plays::run_qemu(&options),
         Command::Test(options) => test::run(&options),
         Command::Tables { check } => tables::run(check),
     }

@@ -3,7 +3,7 @@
 use std::{
     fs,
     path::Path,
-    process::{Command, Stdio},
+    process::Command,
     sync::mpsc,
     thread,
     time::{Duration, Instant},
@@ -11,11 +11,10 @@ use std::{
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use xshell::Shell;
+use mavseal_chips_host::{Chip, KEYS_VARIABLE, keys};
 
 use crate::{
-    firmware::{self, Chip},
-    fuzz, interop, proofs,
+    fuzz, proofs,
     setup::{self, root},
     sources::Sources,
 };
@@ -34,8 +33,8 @@ const HEARTBEAT: Duration = Duration::from_secs(20);
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: every wrong tag, the firmware built by the distribution's
-    /// compiler, 100,000 histories of a link, the mutants of the cores, and unmodified peers
+    /// Also what takes long or installs much: every wrong tag, 100,000
+    /// histories of a link, the mutants of the cores, and unmodified peers
     #[arg(long)]
     all: bool,
 }
@@ -46,58 +45,40 @@ pub(crate) struct Options {
 /// If a check failed; which and why has been printed.
 pub(crate) fn run(options: &Options) -> Result<()> {
     let mut checks = Checks::default();
+    checks.step("what the tests need", || {
+        setup::qemu()?;
+        CORE_TARGETS.into_iter().try_for_each(setup::target)
+    });
     checks.step("formatting", formatting);
     checks.step("lints", lints);
     checks.step("documentation", || {
         let doc = "cargo doc --quiet --locked --workspace --no-deps";
         call(".", doc, &[("RUSTDOCFLAGS", "-D warnings")])
     });
-    checks.step("host and doc tests", || {
-        cargo(".", "test --workspace")?;
-        let tables = "--features mavlink-signing/fast-checksum";
-        cargo(
-            ".",
-            &format!("test -p mavlink-signing -p mavseal-proofs {tables}"),
-        )
-    });
     checks.step("cores alone for microcontrollers", cores_alone);
-    checks.step_unless("firmware lints", firmware_lints);
-    checks.step("firmware sizes", || {
-        firmware::run(&firmware::Options::default())
+    checks.step("firmware lints", firmware_lints);
+    checks.step("host and doc tests", || {
+        cargo(".", "test --workspace --exclude mavseal-e2e --exclude mavseal-chips-host --features mavseal-keys/cli")?;
+        let tables = "--features mavlink-signing/fast-checksum";
+        cargo(".", &format!("test -p mavlink-signing -p mavseal-proofs {tables}"))
     });
-    checks.step(
-        "firmware that may panic, log or sign wrongly is rejected",
-        firmware::checks_can_fail,
-    );
-    checks.step("wrong tags rejected in constant time", || {
-        firmware::constant_time(options.all)
+    checks.step("shipped images on emulated chips", || {
+        cargo(".", "test -p mavseal-chips-host")
     });
-    checks.step("log of the STM32C092RC", firmware::log);
-    checks.step("signing demo in QEMU", signing_demo);
-    checks.step("demonstration", || call(".", "cargo xtask demo", &[]));
-    checks.step("demonstration with an echo must fail", || {
-        fails("demo --firmware echo", "left the link side unsigned")
+    checks.step("plays over the emulated machine", || {
+        cargo(".", "test -p mavseal-e2e")
     });
-    checks.step("demonstration of restarts", || {
-        call(".", "cargo xtask demo --restart", &[])
-    });
-    checks.step("demonstration of a sealed link", || {
-        call(".", "cargo xtask demo --seal", &[])
-    });
-    checks.step(
-        "demonstration with other keys than the vehicle's must fail",
-        || fails("demo --seal --other-keys", "from the vehicle: bad tag"),
-    );
     checks.step_unless("fast proofs", proofs::fast);
     checks.step("committed inputs of the fuzz targets", || {
         cargo("fuzz", "test --no-default-features")
     });
     checks.step_unless("fuzz targets, four seconds each", fuzz::smoke);
     if options.all {
-        checks.step("firmware by the distribution's compiler", || {
-            let with = [("MAVSEAL_TOOLCHAIN", "distribution")];
-            call(".", "cargo xtask firmware", &with)?;
-            call(".", "cargo xtask demo", &with)
+        checks.step("every wrong tag rejected in constant time", || {
+            cargo(
+                ".",
+                "test -p mavseal-chips-host every_wrong_tag -- --ignored --nocapture",
+            )
         });
         checks.step("100,000 histories of a link", || {
             cargo(
@@ -110,7 +91,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             cargo("interop", "clippy --workspace --all-targets -- -D warnings")?;
             // The benchmark is no test: `cargo xtask bench`.
             cargo("interop", "test --workspace --lib --bins")?;
-            interop::run(&interop::Options::default())
+            call(".", "cargo xtask interop", &[])
         });
     }
     checks.finish()
@@ -196,24 +177,6 @@ fn cargo(folder: &str, words: &str) -> Result<()> {
     )
 }
 
-/// Runs a command of this program that must fail for this reason.
-fn fails(words: &str, reason: &str) -> Result<()> {
-    let mut cargo = Command::new("cargo");
-    let output = cargo
-        .current_dir(root())
-        .arg("xtask")
-        .args(words.split(' '))
-        .output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(!output.status.success(), "it succeeded");
-    ensure!(
-        said.contains(reason),
-        "it failed for another reason:\n{said}"
-    );
-    println!("failed, as it must: {reason}");
-    Ok(())
-}
-
 /// Whether cargo has this command.
 fn has(command: &str) -> bool {
     let output = Command::new("cargo").args([command, "--version"]).output();
@@ -234,7 +197,10 @@ fn lints() -> Result<()> {
     if !has("clippy") {
         call(".", "rustup component add clippy", &[])?;
     }
-    cargo(".", "clippy --workspace --all-targets -- -D warnings")?;
+    cargo(
+        ".",
+        "clippy --workspace --all-targets --features mavseal-keys/cli -- -D warnings",
+    )?;
     cargo(
         ".",
         &format!("clippy {CORES} --features defmt -- -D warnings"),
@@ -271,29 +237,14 @@ fn mutants() -> Result<()> {
 
 /// A new chip needs no change to the cores: they build for one that no crate of `chips/` is for.
 fn cores_alone() -> Result<()> {
-    for target in CORE_TARGETS {
-        let toolchain = setup::toolchain(target)?;
-        println!("{target}: {toolchain}");
-        let mut cargo = toolchain.cargo("build");
-        cargo
-            .current_dir(root())
-            .args(["--quiet", "--locked"])
-            .args(CORES.split(' '));
-        cargo
-            .arg("--target-dir")
-            .arg(toolchain.target_dir(&root().join("target")));
-        succeed(&mut cargo)?;
-    }
-    Ok(())
+    CORE_TARGETS
+        .iter()
+        .try_for_each(|target| cargo(".", &format!("build --target {target} {CORES}")))
 }
 
-fn firmware_lints() -> Result<Option<String>> {
+fn firmware_lints() -> Result<()> {
+    let keys = keys()?.display().to_string();
     for chip in Chip::ALL {
-        let toolchain = setup::toolchain(chip.target())?;
-        let mut version = toolchain.cargo("clippy");
-        if !version.arg("--version").output()?.status.success() {
-            return Ok(Some(format!("{toolchain} has no clippy")));
-        }
         let sealing = match chip {
             Chip::QemuM7 => &["common,sealing", "common,logging,sealing"][..],
             Chip::Stm32c092rc => &[],
@@ -305,31 +256,17 @@ fn firmware_lints() -> Result<Option<String>> {
             "minimal,leaky",
         ];
         for features in signing.iter().chain(sealing) {
-            let mut cargo = toolchain.cargo("clippy");
-            cargo.env(firmware::KEYS_VARIABLE, firmware::keys()?);
-            cargo.current_dir(root().join("chips").join(chip.directory()));
-            cargo.args(["--quiet", "--locked", "--no-default-features"]);
-            cargo.args(["--features", features, "--", "-D", "warnings"]);
-            succeed(&mut cargo)?;
+            let line = format!(
+                "cargo clippy --quiet --locked --no-default-features --target {} --features {features} -- -D warnings",
+                chip.target()
+            );
+            call(
+                &format!("chips/{}", chip.folder()),
+                &line,
+                &[(KEYS_VARIABLE, &keys)],
+            )?;
         }
     }
-    Ok(None)
-}
-
-/// The signing demo prints what is committed beside it, run as a developer runs it.
-fn signing_demo() -> Result<()> {
-    setup::qemu(&Shell::new()?)?;
-    let toolchain = setup::toolchain("thumbv7em-none-eabihf")?;
-    let expected = fs::read_to_string(root().join("chips/demo/demo.out"))?;
-    let mut cargo = toolchain.cargo("run");
-    cargo
-        .current_dir(root().join("chips/qemu-m7"))
-        .args(["--quiet", "--locked", "--release"]);
-    let output = cargo.stderr(Stdio::inherit()).output()?;
-    let said = String::from_utf8_lossy(&output.stdout);
-    print!("{said}");
-    ensure!(output.status.success(), "it ended with {}", output.status);
-    ensure!(said == expected, "demo.out says otherwise:\n{expected}");
     Ok(())
 }
 
