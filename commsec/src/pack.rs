@@ -111,6 +111,18 @@ impl Packer {
         }
     }
 
+    /// When [`poll`](Self::poll) will give a message, by the clock of [`push`](Self::push); `None` while no packet is
+    /// pending.
+    #[must_use]
+    pub fn poll_at(&self) -> Option<Duration> {
+        let at = if self.due {
+            self.since
+        } else {
+            self.since.saturating_add(self.max_delay)
+        };
+        (!self.pending.is_empty()).then_some(at)
+    }
+
     /// The message that must be sealed now, if there is one: it holds a HEARTBEAT, or its first packet has
     /// waited long enough.
     ///

@@ -9,8 +9,11 @@ use mavlink_commsec::{
     AesGcm, Cipher, CipherError, Credential, Nonce, Opener, PackageTag, Plaintext, Sealer,
     SenderId, ZeroizeOnDrop, hx, hx::FrameKind, packets,
 };
-use mavseal_relay::Direction;
-use mavseal_relay::sealed::{Counters, Event, HighWaterMarks, Radio, RejectReason, SealedEndpoint};
+use mavlink_signing::Timestamp;
+use mavseal_relay::sealed::{
+    HighWaterMarks, Radio, SealedCounters, SealedEndpoint, SealedEvent, SealedRejectReason,
+};
+use mavseal_relay::{Direction, adapter};
 use mavseal_store::HighWaterMark;
 
 use crate::flash::{REGION, Shared};
@@ -192,7 +195,7 @@ struct Seen {
     /// Packages and packets, sealed and opened.
     packages: [u32; 2],
     packets: [u32; 2],
-    rejected: [Vec<RejectReason>; 2],
+    rejected: [Vec<SealedRejectReason>; 2],
     /// Statuses of the radio that were told.
     told: u8,
     /// What goes to the local side.
@@ -243,25 +246,28 @@ pub fn sealed_end(input: Ends<'_>) {
             }
             for _ in 0..1000 {
                 let mut events = Vec::new();
-                let polled = end.poll(&mut local, &mut air, now, &mut |event| events.push(event));
+                let mut clock = Timestamp::from_ticks(now).expect("48 bits");
+                let mut observe = |event| events.push(event);
+                let polled =
+                    adapter::poll(&mut end, &mut local, &mut air, &mut clock, &mut observe);
                 for event in events {
                     match event {
-                        Event::Sealed(counter) => {
+                        SealedEvent::Sealed(counter) => {
                             assert!(u64::from(counter) >= used, "a counter is used twice");
                             used = u64::from(counter) + 1;
                             seen.packages[0] += 1;
                         }
-                        Event::Packed => seen.packets[0] += 1,
-                        Event::Opened(sender) => {
+                        SealedEvent::Packed => seen.packets[0] += 1,
+                        SealedEvent::Opened(sender) => {
                             opened(&script, &end, sender, &mut accepted, &mut seen);
                         }
-                        Event::Radio(status) if input.station => {
+                        SealedEvent::Radio(status) if input.station => {
                             seen.to_local.extend(status.gcs_radio(seen.told));
                             seen.told = seen.told.wrapping_add(1);
                         }
-                        Event::Radio(_) => {}
-                        Event::Rejected(Direction::Outbound, it) => seen.rejected[0].push(it),
-                        Event::Rejected(Direction::Inbound, it) => seen.rejected[1].push(it),
+                        SealedEvent::Radio(_) => {}
+                        SealedEvent::Rejected(Direction::Outbound, it) => seen.rejected[0].push(it),
+                        SealedEvent::Rejected(Direction::Inbound, it) => seen.rejected[1].push(it),
                     }
                 }
                 let moved = polled.moved();
@@ -329,7 +335,7 @@ fn opened(
     }
 }
 
-fn adds_up(counters: &Counters, direction: usize, seen: &Seen) {
+fn adds_up(counters: &SealedCounters, direction: usize, seen: &Seen) {
     assert_eq!(counters.packages(), seen.packages[direction]);
     assert_eq!(counters.packets(), seen.packets[direction]);
     for (rejection, count) in counters.rejections() {

@@ -6,7 +6,10 @@ use mavlink_signing::{FrameRef, field::MAGIC};
 use mavlink_signing::{
     Hmac, ReplayGuard, SigningKey, Stamper, Timestamp, VerifyError, Window, authenticate,
 };
-use mavseal_relay::{ForwardMode, PortError, Relay, SameLinkId};
+use mavseal_relay::{
+    ForwardMode, Relay, SameLinkId,
+    adapter::{self, PortError},
+};
 
 use crate::input::Moment;
 use crate::repair::{self, KEY, SECRET};
@@ -233,7 +236,7 @@ fn run(
         let [at_local, at_link] = poll.ports;
         local.turn(at_local.arrive.into(), at_local.room.into(), from_local);
         link.turn(at_link.arrive.into(), at_link.room.into(), from_link);
-        let polled = relay.poll(&mut local, &mut link, &mut || now, &mut |_| {});
+        let polled = adapter::poll(&mut relay, &mut local, &mut link, &mut { now }, &mut |_| {});
         for (direction, input, output) in [
             (polled.outbound, from_local, from_link),
             (polled.inbound, from_link, from_local),
@@ -252,7 +255,7 @@ fn drain(relay: &mut Relay<Hmac>, local: &mut Port<'_>, link: &mut Port<'_>, now
     loop {
         local.turn(usize::MAX, usize::MAX, Fault::None);
         link.turn(usize::MAX, usize::MAX, Fault::None);
-        let polled = relay.poll(local, link, &mut || now, &mut |_| {});
+        let polled = adapter::poll(relay, local, link, &mut { now }, &mut |_| {});
         if !polled.moved() {
             break;
         }

@@ -104,7 +104,7 @@ pub fn stamps(input: Clocks) {
     assert_eq!(Timestamp::from_unix_micros(in_1970), None);
     let Stamped { link_id, moment } = input.sender;
     let _ = stamp::two_stamps(link_id, moment.timestamp(), now);
-    replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
+    let _ = replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
     let memory = Model {
         now: now[0],
         mark: input.mark.timestamp().ticks(),

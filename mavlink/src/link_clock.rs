@@ -7,10 +7,17 @@ use crate::verify::{Authentic, Verified};
 
 /// What both directions of a link share: the time, and a mark that survives a restart.
 ///
-/// Any `FnMut() -> Timestamp` is one that remembers nothing. So is a [`Timestamp`], which stands still.
+/// Any `FnMut() -> Timestamp` is one that remembers nothing and that nobody sets. So is a [`Timestamp`], which
+/// stands still.
 pub trait LinkClock {
     /// The time now.
     fn now(&mut self) -> Timestamp;
+
+    /// The time since any start, in ticks of 10 microseconds, by a timer that never goes back.
+    ///
+    /// Silence and deadlines are measured with it: unlike [`now`](Self::now), it does not step when a source or a
+    /// frame tells the time.
+    fn monotonic(&mut self) -> u64;
 
     /// The moment to compare `stamp` with, of an authentic frame that may still be rejected. See
     /// [`Clock::reference_time`](crate::Clock::reference_time).
@@ -70,10 +77,18 @@ impl<F: FnMut() -> Timestamp> LinkClock for F {
     fn now(&mut self) -> Timestamp {
         self()
     }
+
+    fn monotonic(&mut self) -> u64 {
+        self().ticks()
+    }
 }
 
 impl LinkClock for Timestamp {
     fn now(&mut self) -> Timestamp {
         *self
+    }
+
+    fn monotonic(&mut self) -> u64 {
+        self.ticks()
     }
 }

@@ -28,6 +28,10 @@ impl LinkClock for Model {
         self.now
     }
 
+    fn monotonic(&mut self) -> u64 {
+        self.now.ticks()
+    }
+
     fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
         if stamp.ticks() < self.mark {
             return Ok(());

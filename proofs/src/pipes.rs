@@ -8,7 +8,9 @@ use mavlink_signing::{
     DecodeError, Decoder, Frame, Packet, Profile, ReplayGuard, Resync, SigningKey, Stamper,
     Timestamp, Window, dialect,
 };
-use mavseal_relay::{Counters, ForwardMode, Forwarded, RejectReason, Relay, Signer, Verifier};
+use mavseal_relay::{
+    Counters, ForwardMode, Forwarded, RejectReason, Relay, Signer, Verifier, adapter,
+};
 
 /// The link id of what the relay signs.
 pub const LINK_OUT: u8 = 1;
@@ -117,13 +119,25 @@ pub fn pipes<P: Profile>(
     for turn in turns {
         local_pipe.turn(turn.arrive[0].into(), turn.room[0].into());
         link_pipe.turn(turn.arrive[1].into(), turn.room[1].into());
-        let polled = relay.poll(&mut local_pipe, &mut link_pipe, &mut clock, &mut |_| {});
+        let polled = adapter::poll(
+            &mut relay,
+            &mut local_pipe,
+            &mut link_pipe,
+            &mut clock,
+            &mut |_| {},
+        );
         assert!(polled.outbound.is_ok() && polled.inbound.is_ok());
     }
     loop {
         local_pipe.turn(usize::MAX, usize::MAX);
         link_pipe.turn(usize::MAX, usize::MAX);
-        let polled = relay.poll(&mut local_pipe, &mut link_pipe, &mut clock, &mut |_| {});
+        let polled = adapter::poll(
+            &mut relay,
+            &mut local_pipe,
+            &mut link_pipe,
+            &mut clock,
+            &mut |_| {},
+        );
         if !polled.moved() {
             break;
         }
