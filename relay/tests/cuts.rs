@@ -73,7 +73,7 @@ impl<E: Endpoint> Driver<'_, E> {
             ..
         } = self;
         let mut observe = |event| done.events.push(event);
-        let taken = if size % 2 == 0 {
+        let taken = if size.is_multiple_of(2) {
             let mut buffer = vec![0; size.min(1000)];
             let count = endpoint.transmit(side, &mut buffer, clock, &mut observe);
             buffer.truncate(count);
