@@ -1,8 +1,13 @@
 //! The messages of the dialect `all`, and how long their payloads are.
 
-use std::{fs, path::Path};
+use std::{
+    collections::HashSet,
+    path::{Path, PathBuf},
+};
 
 use anyhow::{Context, Result, ensure};
+use cargo_metadata::MetadataCommand;
+use mavlink_bindgen::parser::{MavMessage, extra_crc, parse_profile};
 use mavlink_signing::dialect;
 
 /// A message as its definition has it.
@@ -17,13 +22,30 @@ pub(crate) struct Message {
     pub(crate) name: String,
 }
 
-/// Reads the list that `cargo xtask interop` made from the definitions: a message a line.
+/// The definition of the dialect, which the crate `mavlink` ships.
+pub(crate) fn definition() -> Result<PathBuf> {
+    let mut metadata = MetadataCommand::new();
+    metadata.manifest_path(concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml"));
+    let packages = metadata
+        .other_options(["--locked".to_owned()])
+        .exec()?
+        .packages;
+    let mavlink = packages.iter().find(|package| *package.name == "mavlink");
+    let manifest = &mavlink.context("the crate mavlink")?.manifest_path;
+    let folder = manifest.with_file_name("mavlink/message_definitions/v1.0");
+    Ok(folder.join("all.xml").into())
+}
+
+/// Reads the definition, by another parser than the core's tables.
 ///
 /// # Errors
 /// If it is not the core's dialect.
-pub(crate) fn read(path: &Path) -> Result<Vec<Message>> {
-    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    let messages = text.lines().map(parse).collect::<Result<Vec<_>>>()?;
+pub(crate) fn read(definition: &Path) -> Result<Vec<Message>> {
+    let folder = definition.parent().context("a folder")?;
+    let profile = parse_profile(folder, Path::new("all.xml"), &mut HashSet::new())?;
+    let messages = profile.messages.into_values().map(Message::from);
+    let mut messages = Vec::from_iter(messages);
+    messages.sort_by_key(|message| message.id);
     let listed = messages
         .iter()
         .map(|message| (message.id, message.crc_extra));
@@ -31,20 +53,25 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Message>> {
     ensure!(
         dialect::NAME == "all" && listed.eq(here),
         "{} has other messages than the core's dialect {}",
-        path.display(),
+        definition.display(),
         dialect::NAME
     );
     Ok(messages)
 }
 
-fn parse(line: &str) -> Result<Message> {
-    let mut words = line.split(' ');
-    let mut word = || words.next().with_context(|| line.to_owned());
-    Ok(Message {
-        id: word()?.parse()?,
-        crc_extra: word()?.parse()?,
-        base_size: word()?.parse()?,
-        size: word()?.parse()?,
-        name: word()?.to_owned(),
-    })
+impl From<MavMessage> for Message {
+    fn from(message: MavMessage) -> Self {
+        let size = |extensions: bool| {
+            let fields = message.fields.iter();
+            let fields = fields.filter(|field| extensions || !field.is_extension);
+            fields.map(|field| field.mavtype.size()).sum()
+        };
+        Self {
+            id: message.id,
+            crc_extra: extra_crc(&message),
+            base_size: size(false),
+            size: size(true),
+            name: message.name,
+        }
+    }
 }

@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use serde::Serialize;
+use comfy_table::{CellAlignment, Table, presets};
 
 use crate::differences::{self, Difference};
 
 /// A row of the table.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Row {
     pub(crate) peer: String,
     pub(crate) version: String,
@@ -19,24 +19,24 @@ pub(crate) struct Row {
     pub(crate) differences: BTreeSet<&'static str>,
 }
 
-/// Everything, as it is handed to whoever prints the table.
-#[derive(Debug, Serialize)]
+/// Everything that was seen.
+#[derive(Debug)]
 pub(crate) struct Report {
-    pub(crate) seed: u64,
-    pub(crate) rows: Vec<Row>,
-    pub(crate) reasons: Vec<Reason>,
+    rows: Vec<Row>,
+    reasons: Vec<Reason>,
     pub(crate) failures: Vec<String>,
 }
 
 /// Why a peer does something else.
-#[derive(Debug, Serialize)]
-pub(crate) struct Reason {
-    pub(crate) peer: &'static str,
-    pub(crate) scenario: &'static str,
-    pub(crate) reason: &'static str,
+#[derive(Debug)]
+struct Reason {
+    peer: &'static str,
+    scenario: &'static str,
+    reason: &'static str,
 }
 
-/// Compares what passes with what is to pass, and remembers it.
+/// Compares what passes with what is to pass, and remembers it. By default no difference is listed.
+#[derive(Default)]
 pub(crate) struct Judge {
     rows: Vec<Row>,
     listed: BTreeMap<(&'static str, &'static str), Listed>,
@@ -50,6 +50,7 @@ struct Listed {
 }
 
 impl Judge {
+    /// With every difference that is listed, each of which has to be seen.
     pub(crate) fn new() -> Self {
         let listed = differences::all().map(|difference| {
             let key = (difference.peer, difference.scenario);
@@ -78,6 +79,16 @@ impl Judge {
             messages,
             ..Row::default()
         });
+    }
+
+    /// A whole row.
+    pub(crate) fn row(&mut self, row: Row) {
+        self.rows.push(row);
+    }
+
+    /// How many things failed that must not.
+    pub(crate) fn failed(&self) -> usize {
+        self.failures.len()
     }
 
     /// `passes` frame by frame in a scenario, `right` what is right; `example` is a frame to look at.
@@ -124,7 +135,7 @@ impl Judge {
         *times += 1;
     }
 
-    pub(crate) fn finish(self, seed: u64) -> Report {
+    pub(crate) fn finish(self) -> Report {
         let mut failures: Vec<String> = self
             .failures
             .into_iter()
@@ -150,11 +161,50 @@ impl Judge {
             });
         }
         Report {
-            seed,
             rows: self.rows,
             reasons,
             failures,
         }
+    }
+}
+
+impl Report {
+    /// Prints what differs for a known reason, and the table.
+    pub(crate) fn print(&self) {
+        let mut table = Table::new();
+        table.load_preset(presets::NOTHING).set_header([
+            "peer",
+            "version",
+            "direction",
+            "messages",
+            "frames",
+            "agreed",
+            "differences",
+        ]);
+        for row in &self.rows {
+            table.add_row([
+                row.peer.clone(),
+                row.version.clone(),
+                row.direction.to_owned(),
+                row.messages.to_string(),
+                row.frames.to_string(),
+                row.agreed.to_string(),
+                row.differences.len().to_string(),
+            ]);
+        }
+        for column in table.column_iter_mut().skip(3) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        let mut scenarios: BTreeMap<_, Vec<_>> = BTreeMap::new();
+        for reason in &self.reasons {
+            let same = scenarios.entry((reason.peer, reason.reason)).or_default();
+            same.push(reason.scenario);
+        }
+        println!("\nWhat the peers do in another way, in every run:");
+        for ((peer, reason), scenarios) in scenarios {
+            println!("  {peer}: {}\n    {reason}", scenarios.join("; "));
+        }
+        println!("\n{table}");
     }
 }
 
@@ -165,7 +215,7 @@ mod tests {
     const LISTED: (&str, &str) = ("pymavlink", "2 minutes ahead");
 
     fn failures(judge: Judge) -> Vec<String> {
-        judge.finish(0).failures
+        judge.finish().failures
     }
 
     #[test]

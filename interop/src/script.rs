@@ -3,10 +3,12 @@
 use std::{
     io::{BufRead, BufReader, Write},
     path::Path,
-    process::{Child, ChildStdin, ChildStdout, Command, Stdio},
+    process::{Child, ChildStdin, ChildStdout, Stdio},
 };
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, bail};
+
+use crate::python;
 
 pub(crate) struct Script {
     child: Child,
@@ -24,16 +26,8 @@ impl Script {
         script: &str,
         arguments: impl IntoIterator<Item = &'a str>,
     ) -> Result<Self> {
-        let ask = format!("import importlib.metadata as m; print(m.version('{package}'))");
-        let version = Command::new(python).args(["-c", &ask]).output()?;
-        ensure!(
-            version.status.success(),
-            "{} has no {package}",
-            python.display()
-        );
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("python");
-        let mut child = Command::new(python)
-            .arg(folder.join(script))
+        let version = python::version(python, package)?;
+        let mut child = python::script(python, script)
             .args(arguments)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -43,7 +37,7 @@ impl Script {
             orders: child.stdin.take().context("the peer's input")?,
             answers: BufReader::new(child.stdout.take().context("the peer's output")?),
             child,
-            version: String::from_utf8(version.stdout)?.trim().to_owned(),
+            version,
         })
     }
 

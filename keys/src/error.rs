@@ -1,20 +1,28 @@
-//! What can be wrong with a key file. No text here shows what is in it but ids and names.
+//! What can be wrong with a key file. No text here shows what is in it, except ids and names.
 
 use std::{io, path::PathBuf};
 
 use crate::field::MAX_STATIONS;
 
-/// Why a key file is not used, or not written. Whoever wrote or chose it is at fault.
+/// Why a key file is not used, or not written. Its author, or the one who chose it, is at fault.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyFileError {
     /// The file cannot be read or written.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("{path}: {error}", path = path.display())]
     Io {
         /// Which file.
         path: PathBuf,
-        /// Why.
-        source: io::Error,
+        /// Why. No [`source`](std::error::Error::source): whoever prints those too would say it twice.
+        error: io::Error,
+    },
+    /// What is wrong with the content of a file that was read.
+    #[error("{path}: {fault}", path = path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: Box<KeyFileError>,
     },
     /// TOML is not written to a name that is read as Keys.mk.
     #[error("a file whose name ends in .mk is read as SMACCMPilot's Keys.mk: choose another name")]
@@ -51,7 +59,7 @@ pub enum KeyFileError {
     /// Two senders with one id.
     #[error("id {0} is given twice")]
     DuplicateId(u32),
-    /// A vehicle and a station with one key: what the one seals, the other would take for its own.
+    /// A vehicle and a station with one key: each would accept the other's packages as its own.
     #[error("the vehicle and station {0} have the same key")]
     VehicleKeyShared(u32),
     /// Two stations with one key: each could speak as the other.

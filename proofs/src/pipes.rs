@@ -92,11 +92,11 @@ impl Write for Pipe {
     }
 }
 
-/// L1 over whole streams: whatever arrives on both sides, in whatever pieces, and however much each
-/// side takes at a time, each direction hands on exactly what its part makes of the packets found, in
-/// order and complete, and counts the rest. The clock stands at `now`.
+/// L1 over whole streams, whatever arrives on both sides, in whatever pieces, and however much each side
+/// takes at a time. Each direction hands on exactly what its part makes of the packets found, in order
+/// and complete, and counts the rest. The clock stands at `now`.
 ///
-/// `keys` makes the key anew, which cannot be copied. Returns the counters, plain to secure first.
+/// `keys` makes the key each time, as it cannot be copied. Returns the counters, plain to secure first.
 ///
 /// # Panics
 ///
@@ -193,7 +193,7 @@ fn in_sequence(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, Stamp, sign_frame};
     use proptest::prelude::*;
 

@@ -12,7 +12,7 @@ use crate::setup::{self, root};
 #[command(disable_help_flag = true)]
 pub(crate) struct Options {
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    options: Vec<OsString>,
+    pub(crate) options: Vec<OsString>,
 }
 
 /// Plays the demonstration.

@@ -1,7 +1,6 @@
 //! What the commands need on this machine: found, or got without a question.
 
 mod apt;
-mod fuzz;
 mod python;
 mod qemu;
 
@@ -14,8 +13,7 @@ use std::{
 use anyhow::{Context, Result, bail};
 use xshell::{Shell, cmd};
 
-pub(crate) use fuzz::{CargoFuzz, cargo_fuzz, llvm_tools, rustc_in_use};
-pub(crate) use python::python;
+pub(crate) use python::venv;
 pub(crate) use qemu::qemu;
 
 /// The project's folder.

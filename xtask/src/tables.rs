@@ -30,8 +30,9 @@ pub(crate) fn run(check: bool) -> Result<()> {
     for dialect in &dialects {
         ensure!(
             core.features.contains_key(&dialect.feature),
-            "{CORE}'s Cargo.toml has no feature `{}`",
-            dialect.feature
+            "{CORE}'s Cargo.toml has no feature `{}` for {}",
+            dialect.feature,
+            dialect.xml.display()
         );
     }
 
@@ -104,18 +105,9 @@ struct Dialect {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Message {
-    pub(crate) name: String,
-    pub(crate) crc_extra: u8,
-    /// Bytes of payload without extensions, and with them.
-    pub(crate) sizes: [usize; 2],
-}
-
-/// The largest dialect: where its definition is, and its messages by their ids.
-pub(crate) fn largest() -> Result<(PathBuf, BTreeMap<u32, Message>)> {
-    let dialects = dialects(&definitions(&metadata()?)?)?;
-    let largest = dialects.into_iter().next().context("no dialect")?;
-    Ok((largest.xml, largest.messages))
+struct Message {
+    name: String,
+    crc_extra: u8,
 }
 
 /// Every dialect, that with the most messages first, so that none comes after a part of it.
@@ -168,7 +160,6 @@ fn read_definition(
         let message = Message {
             name: name.to_owned(),
             crc_extra: crc_extra(node).with_context(place)?,
-            sizes: sizes(node).with_context(place)?,
         };
         if let Some(other) = messages.insert(id, message.clone()) {
             ensure!(
@@ -179,22 +170,6 @@ fn read_definition(
         }
     }
     Ok(())
-}
-
-/// Bytes of payload without extensions, and with them.
-fn sizes(message: Node) -> Result<[usize; 2]> {
-    let [mut base, mut all] = [0, 0];
-    let mut extensions = false;
-    for node in message.children() {
-        extensions |= node.has_tag_name("extensions");
-        if node.has_tag_name("field") {
-            let field = Field::new(node)?;
-            let size = usize::from(field.size) * usize::from(field.array_length.unwrap_or(1));
-            all += size;
-            base += if extensions { 0 } else { size };
-        }
-    }
-    Ok([base, all])
 }
 
 /// The checksum of what the two ends of a link must agree on: the message's name and its fields in
@@ -382,18 +357,17 @@ mod tests {
             .iter()
             .find(|dialect| dialect.feature == "common")
             .unwrap();
-        for (id, name, crc_extra, sizes) in [
-            (0, "HEARTBEAT", 50, [9, 9]),
-            (24, "GPS_RAW_INT", 24, [30, 52]),
-            (76, "COMMAND_LONG", 152, [33, 33]),
-            (109, "RADIO_STATUS", 185, [9, 9]),
-            (256, "SETUP_SIGNING", 71, [42, 42]),
-            (300, "PROTOCOL_VERSION", 217, [22, 22]),
+        for (id, name, crc_extra) in [
+            (0, "HEARTBEAT", 50),
+            (24, "GPS_RAW_INT", 24),
+            (76, "COMMAND_LONG", 152),
+            (109, "RADIO_STATUS", 185),
+            (256, "SETUP_SIGNING", 71),
+            (300, "PROTOCOL_VERSION", 217),
         ] {
             let message = Message {
                 name: name.to_owned(),
                 crc_extra,
-                sizes,
             };
             assert_eq!(common.messages[&id], message);
         }

@@ -1,6 +1,6 @@
 //! Sign and verify: the floor, the core and the peers, one after another.
 //!
-//! `cargo xtask bench` runs this, asks pymavlink too, and puts the times beside each other.
+//! The program of this package (`cargo run`) runs this, asks pymavlink too, and puts the times beside each other.
 
 use std::{hint::black_box, time::SystemTime};
 

@@ -418,6 +418,46 @@ fn files() {
     assert_eq!(read, keys_mk(KEYS_MK).expect("a key file"));
     let missing = folder.path().join("none.toml");
     assert!(fault(KeyFile::read(&missing, PUBLISHED)).contains("none.toml: "));
+    // A fault of the content names the file too.
+    fs::write(&old, KEYS_MK.replace("UAV_ID=7\n", "")).expect("written");
+    let said = fault(KeyFile::read(&old, PUBLISHED));
+    assert!(said.ends_with("Keys.mk: UAV_ID is missing"), "{said}");
+}
+
+#[test]
+fn a_byte_order_mark_is_skipped() {
+    let mark = '\u{FEFF}';
+    assert_eq!(
+        keys_mk(&format!("{mark}{KEYS_MK}")).expect("a key file"),
+        keys_mk(KEYS_MK).expect("a key file")
+    );
+    assert_eq!(
+        toml(&format!("{mark}{TOML}")).expect("a key file"),
+        toml(TOML).expect("a key file")
+    );
+    // Once, and only at the beginning.
+    assert_eq!(
+        fault(keys_mk(&format!("{mark}{mark}{KEYS_MK}"))),
+        "line 1: not a variable and its value"
+    );
+}
+
+/// Who prints an error with all that is behind it says nothing twice.
+#[test]
+fn errors_say_nothing_twice() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let read = KeyFile::read(folder.path(), PUBLISHED).expect_err("a folder");
+    let written = KeyFile::generate(1)
+        .expect("random bytes")
+        .write_new(folder.path());
+    for error in [read, written.expect_err("there")] {
+        let said = error.to_string();
+        assert!(
+            said.starts_with(&*folder.path().to_string_lossy()),
+            "{said}"
+        );
+        assert!(std::error::Error::source(&error).is_none(), "{said}");
+    }
 }
 
 #[test]

@@ -86,8 +86,8 @@ const NOT_PLAYED: [&str; 6] = [
     "HardFault",
     "semihosting::process::exit",
     "semihosting::sys::arm_compat::exit",
-    "mavseal_relay::sealed::Outward<F,C>::reject",
-    "core::ptr::drop_in_place<mavlink_commsec::key::Key>",
+    "mavseal_relay::sealed::Egress<F,C>::reject",
+    "core::ptr::drop_in_place<mavlink_commsec::key::SealingKey>",
 ];
 
 /// What an image takes.
