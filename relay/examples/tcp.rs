@@ -1,6 +1,6 @@
 //! The in-line signer between two TCP connections: an autopilot, or its simulator, and a ground station that signs.
 //!
-//! `cargo run --example tcp 127.0.0.1:5760 127.0.0.1:14550 "a pass-phrase"` connects to the autopilot and listens for
+//! `cargo run -p mavseal-relay --features std --example tcp 127.0.0.1:5760 127.0.0.1:14550 "a pass-phrase"` connects to the autopilot and listens for
 //! the station.
 
 use std::{

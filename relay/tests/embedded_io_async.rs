@@ -306,15 +306,15 @@ fn a_fault_is_reported_and_the_line_read_on() {
     assert!(!bench.link_out.taken().is_empty());
 }
 
+/// How a line is closed.
+type Close = fn(&Bench);
+
 #[test]
 fn a_closed_line_ends_it() {
-    let close: [(fn(&Bench), Side); 4] = [
+    let cases: [(Close, Side); 4] = [
         (|bench| bench.local_in.ended.set(true), Side::Local),
         (
-            |bench| {
-                let closed = Some(Fault(LineEvent::Closed));
-                bench.link_in.fault.set(closed);
-            },
+            |bench| bench.link_in.fault.set(Some(Fault(LineEvent::Closed))),
             Side::Link,
         ),
         (
@@ -332,7 +332,7 @@ fn a_closed_line_ends_it() {
             Side::Link,
         ),
     ];
-    for (close, side) in close {
+    for (close, side) in cases {
         let mut bench = Bench::new();
         close(&bench);
         assert_eq!(bench.run(), Some(side));

@@ -58,7 +58,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     checks.step("cores alone for microcontrollers", cores_alone);
     checks.step("firmware lints", firmware_lints);
     checks.step("host and doc tests", || {
-        cargo(".", "test --workspace --exclude mavseal-e2e --exclude mavseal-chips-host --features mavseal-keys/cli")?;
+        cargo(".", "test --workspace --exclude mavseal-e2e --exclude mavseal-chips-host --features mavseal-keys/cli,mavseal-relay/std")?;
         let tables = "--features mavlink-signing/fast-checksum";
         cargo(".", &format!("test -p mavlink-signing -p mavseal-proofs {tables}"))
     });
@@ -187,7 +187,7 @@ fn formatting() -> Result<()> {
     if !has("fmt") {
         call(".", "rustup component add rustfmt", &[])?;
     }
-    let workspaces = [".", "chips", "fuzz", "interop"];
+    let workspaces = [".", "chips", "chips/examples/embassy", "fuzz", "interop"];
     workspaces
         .iter()
         .try_for_each(|folder| call(folder, "cargo fmt --all --check", &[]))
@@ -199,7 +199,7 @@ fn lints() -> Result<()> {
     }
     cargo(
         ".",
-        "clippy --workspace --all-targets --features mavseal-keys/cli -- -D warnings",
+        "clippy --workspace --all-targets --features mavseal-keys/cli,mavseal-relay/std -- -D warnings",
     )?;
     cargo(
         ".",
@@ -267,7 +267,8 @@ fn firmware_lints() -> Result<()> {
             )?;
         }
     }
-    Ok(())
+    let example = "cargo clippy --quiet --locked -- -D warnings";
+    call("chips/examples/embassy", example, &[])
 }
 
 fn succeed(command: &mut Command) -> Result<()> {
