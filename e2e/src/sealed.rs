@@ -41,13 +41,13 @@ const PACKAGE_SIZE: usize = 96;
 const COUNTER: usize = 4;
 const MESSAGE: usize = 40;
 
-/// Plays with fresh keys, over links that do as `seed`, or the time of day, says; prints the firmware's log too if `log`. With
-/// `other_keys` the stations have others than the vehicle.
+/// Plays with fresh keys. The air does as `seed` says, otherwise as the time of day does. The firmware's log is
+/// printed too if `log`. With `other_keys` the stations have others than the vehicle.
 ///
 /// # Errors
 ///
-/// If the firmware does not compile, or something comes out that must not, or does not that must, or for another
-/// reason: with other keys, always.
+/// If the firmware does not compile, or if something comes out that must not, or does not that must, or for
+/// another reason. With other keys this is always so.
 pub fn sealed(seed: Option<u64>, other_keys: bool, log: bool) -> Result<()> {
     let time = SystemTime::now().duration_since(UNIX_EPOCH)?;
     let seed = seed.unwrap_or(time.as_micros() as u64);
