@@ -11,7 +11,7 @@ use mavlink_signing::{
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::tamper::{self, Change};
 use mavseal_proofs::{emit, packet, parse, relay, sign, unforgeable, verify};
-use mavseal_relay::ForwardMode;
+use mavseal_relay::{ForwardMode, RejectReason};
 
 use crate::input::{Head, Message, Moment, NOW, Receiver, Stamped};
 use crate::repair::{self, KEY};
@@ -52,6 +52,7 @@ fn every_verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) {
     if let Err(error) = verdict {
         let parsed = matches!(error, VerifyError::Parse(_));
         assert_eq!(error.source().is_some(), parsed);
+        assert!(parsed || RejectReason::from(error) != RejectReason::Other);
     }
 
     let Ok(frame) = FrameRef::parse(bytes) else {
@@ -69,6 +70,8 @@ fn every_verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) {
     let id = frame.header().message_id;
     let undamaged = crc_extra(id).map(|extra| frame.checksum_matches(extra));
     let copy = Frame::try_from(frame);
+    let reason = copy.as_ref().err().map(|error| RejectReason::from(*error));
+    assert_ne!(reason, Some(RejectReason::Other));
     match undamaged {
         None => assert_eq!(copy, Err(SignError::UnknownMessage(id))),
         Some(false) => assert_eq!(copy, Err(SignError::BadChecksum)),
@@ -81,6 +84,8 @@ fn every_verdict(bytes: &[u8], receiver: Resumed, now: Timestamp) {
             let signed = sign_frame(&mut again, &KEY, Stamped::default().into());
             assert_eq!(signed.is_err(), copy.is_signed());
             assert!(signed.is_ok() || again == copy);
+            let reason = signed.err().map(RejectReason::from);
+            assert_ne!(reason, Some(RejectReason::Other));
         }
     }
 }

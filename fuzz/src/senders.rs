@@ -10,6 +10,7 @@ use mavlink_signing::{
 };
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::streams::{reflected, step};
+use mavseal_relay::RejectReason;
 
 use crate::input::{Head, Receiver};
 use crate::repair::KEY;
@@ -166,6 +167,8 @@ fn run<const N: usize>(input: &Arrivals) {
             _ => naive.receive(frame, now),
         };
         assert_eq!(verdict, expected);
+        let reason = verdict.err().map(RejectReason::from);
+        assert_ne!(reason, Some(RejectReason::Other));
         let rows = naive.rows().into_iter();
         assert!(streams.rows().eq(rows.map(|(of, last)| (of, Some(last)))));
     }

@@ -9,7 +9,7 @@ use mavlink_signing::{
     Clock, FrameRef, LinkClock, RESERVATION, ReplayGuard, Stamp, Stamper, SyncState, TimeSource,
     Timestamp, VerifyError, Window, authenticate, system_time,
 };
-use mavseal_relay::{PersistentClock, PersistentClockError};
+use mavseal_relay::{PersistentClock, PersistentClockError, RejectReason};
 use mavseal_store::model::{Flash, PAGE_SIZE};
 use mavseal_store::{HighWaterMark, Region, ReserveError, StoreError};
 
@@ -190,7 +190,10 @@ impl<T: FnMut() -> u64> Run<T> {
     }
 
     fn sends(&mut self, before: Timestamp, used: &mut Used) {
-        let Ok(Stamp { link_id, timestamp }) = self.kept.stamp(&mut self.stamper) else {
+        let stamp = self.kept.stamp(&mut self.stamper);
+        let reason = stamp.err().map(RejectReason::from);
+        assert_ne!(reason, Some(RejectReason::Other));
+        let Ok(Stamp { link_id, timestamp }) = stamp else {
             return;
         };
         assert_eq!(link_id, LINK_IDS[0]);
@@ -206,6 +209,8 @@ impl<T: FnMut() -> u64> Run<T> {
         let authentic = authenticate(frame, &*KEY).expect("signed with this key");
         let (sync, last, minute) = (self.kept.sync(), self.receiver.last(), Window::ONE_MINUTE);
         let verdict = self.kept.admit(&mut self.receiver, authentic).map(drop);
+        let reason = verdict.err().map(RejectReason::from);
+        assert_ne!(reason, Some(RejectReason::Other));
         let after = self.kept.now();
         let off = before.ticks().abs_diff(timestamp.ticks());
         if verdict.is_err() {

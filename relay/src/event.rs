@@ -45,7 +45,7 @@ pub enum RejectReason {
     /// Signed with another key, or forged.
     #[strum(serialize = "bad tag")]
     BadTag,
-    /// Authentic, but made for another link; with [`ReplayGuard`](mavlink_signing::Replay) also one's own
+    /// Authentic, but made for another link; with [`ReplayGuard`](mavlink_signing::ReplayGuard) also one's own
     /// frames, reflected.
     #[strum(serialize = "wrong link")]
     WrongLink,

@@ -3,7 +3,6 @@
 mod forward;
 mod fuzz;
 mod mutants;
-mod plays;
 mod proofs;
 mod release_page;
 mod setup;
@@ -25,24 +24,24 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     /// Measure signing and verifying beside peers and the floor, and hold them to their bars
-    Bench(plays::Options),
+    Bench(forward::Options),
     /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
-    Demo(plays::Options),
+    Demo(forward::Options),
     /// Build the shipped firmware images and hold them to their budgets
-    Firmware(plays::Options),
+    Firmware(forward::Options),
     /// Fuzz the properties: shortly, for long, with mutants, or to see what is reached
     Fuzz(fuzz::Options),
     /// Hold the standard's signature and sealed packages against other implementations, message by message
     /// and live
-    Interop(plays::Options),
+    Interop(forward::Options),
     /// Make fresh keys for a sealed link, or check those in a key file
-    Keys(plays::Options),
+    Keys(forward::Options),
     /// Run the proofs with Kani, or show with mutants that proofs and tests can fail
     Proofs(proofs::Options),
     /// Write verification/vX.Y.Z.md from the results of this commit
     ReleasePage(release_page::Options),
     /// Run firmware in QEMU, print its log and exit with its status
-    RunQemu(plays::Options),
+    RunQemu(forward::Options),
     /// Check everything that must hold
     Test(test::Options),
     /// Generate the message tables in `mavlink/src/dialect` from the published definitions
@@ -66,14 +65,14 @@ fn main() -> ExitCode {
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Bench(options) => forward::bench(&options),
-        Command::Demo(options) => plays::demo(&options),
+        Command::Demo(options) => forward::demo(&options),
         Command::Firmware(options) => forward::firmware(&options),
         Command::Fuzz(options) => fuzz::run(&options),
         Command::Interop(options) => forward::interop(&options),
         Command::Keys(options) => forward::keys(&options),
         Command::Proofs(options) => proofs::run(&options),
         Command::ReleasePage(options) => release_page::run(&options),
-        Command::RunQemu(options) => plays::run_qemu(&options),
+        Command::RunQemu(options) => forward::run_qemu(&options),
         Command::Test(options) => test::run(&options),
         Command::Tables { check } => tables::run(check),
     }

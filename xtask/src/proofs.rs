@@ -9,12 +9,14 @@ use std::{
     sync::Mutex,
 };
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use clap::Args;
-use comfy_table::{Table, presets};
 use regex::Regex;
 
-use crate::sources::{Sources, lock, share, text};
+use crate::{
+    sources::{Sources, lock, share, text},
+    test::not_run,
+};
 use kani::Proof;
 
 /// The version that continuous integration installs; results tell which one was used.
@@ -42,29 +44,22 @@ pub(crate) struct Options {
     jobs: usize,
 }
 
-/// Why nothing is proved, if Kani is missing.
-fn missing() -> Option<String> {
-    let install = format!("cargo install --locked kani-verifier@{KANI} && cargo kani setup");
-    let version = kani::installed();
-    if let Some(version) = version.as_ref().filter(|version| *version != KANI) {
-        println!("This is Kani {version}; continuous integration has {KANI}.");
-    }
-    version
-        .is_none()
-        .then(|| format!("Kani is missing: {install}"))
-}
-
 /// Runs what the options say.
 ///
 /// # Errors
 /// If a harness is not verified, or a mutant is missed; which has been printed.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let missing = missing();
-    if options.mutants {
-        return mutants::run(missing, &options.only, options.jobs);
+    let version = kani::installed();
+    match &version {
+        Some(version) if version == KANI => {}
+        Some(other) => println!("This is Kani {other}; continuous integration has {KANI}."),
+        None => println!("cargo install --locked kani-verifier@{KANI} && cargo kani setup"),
     }
-    if let Some(missing) = missing {
-        bail!(missing);
+    if options.mutants {
+        return mutants::run(version.is_some(), &options.only, options.jobs);
+    }
+    if version.is_none() {
+        not_run("Kani is missing");
     }
     let sources = Sources::now()?;
     let tree = sources.worktree(0)?;
@@ -85,24 +80,6 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     });
     ensure!(!chosen.is_empty(), "there is no such harness");
     prove(&sources, chosen, options.jobs)
-}
-
-/// For `cargo xtask test`: the fast proofs, or why they were not run.
-///
-/// # Errors
-/// As [`run`].
-pub(crate) fn fast() -> Result<Option<String>> {
-    let missing = missing();
-    if missing.is_none() {
-        let only = Vec::new();
-        run(&Options {
-            only,
-            fast: true,
-            mutants: false,
-            jobs: 2,
-        })?;
-    }
-    Ok(missing)
 }
 
 /// Runs harnesses, given by their names and paths, keeps and prints the results.
@@ -136,24 +113,25 @@ fn prove(sources: &Sources, harnesses: BTreeMap<String, String>, jobs: usize) ->
 }
 
 /// A table of `proofs`, in Markdown.
-pub(crate) fn table(proofs: &BTreeMap<String, Proof>) -> Table {
-    let mut table = Table::new();
-    table.load_preset(presets::ASCII_MARKDOWN);
-    table.set_header([
-        "harness", "verdict", "covers", "checks", "solver", "time", "memory",
-    ]);
-    for (name, proof) in proofs {
-        table.add_row([
-            name.clone(),
-            format!("{:?} {}", proof.verdict, proof.reason),
-            format!("{}/{}", proof.covers[0], proof.covers[1]),
-            proof.checks.to_string(),
-            proof.solver.clone(),
-            format!("{:.1} s", proof.seconds),
-            format!("{} MB", proof.memory_mb),
-        ]);
-    }
-    table
+pub(crate) fn table(proofs: &BTreeMap<String, Proof>) -> String {
+    let head = "| harness | verdict | covers | checks | solver | time | memory |";
+    let row = |(name, proof): (&String, &Proof)| {
+        let Proof {
+            verdict,
+            reason,
+            covers: [n, of],
+            checks,
+            solver,
+            seconds,
+            memory_mb,
+            ..
+        } = proof;
+        format!(
+            "| `{name}` | {verdict:?} {reason} | {n}/{of} | {checks} | {solver} | {seconds:.1} s | {memory_mb} MB |"
+        )
+    };
+    let rows: Vec<_> = proofs.iter().map(row).collect();
+    format!("{head}\n|---|---|---|---|---|---|---|\n{}", rows.join("\n"))
 }
 
 /// The ids of the properties: the first cells in the table of verification.md.

@@ -1,14 +1,9 @@
 //! `cargo xtask release-page`: verification/vX.Y.Z.md, from what runs on one commit have left.
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    fmt::Write as _,
-    fs, thread,
-};
+use std::{collections::BTreeMap, fmt::Write as _, fs};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use serde_json::Value;
 use xshell::{Shell, cmd};
 
 use crate::{
@@ -18,6 +13,11 @@ use crate::{
     setup::root,
     sources::{Sources, text},
 };
+
+/// What a shell says of this machine and its tools.
+const MACHINE: &str =
+    "rustc --version; cargo mutants --version; cargo-fuzz --version; nproc | sed 's/$/ cores/'
+    sed -n 's/^model name.*: //p' /proc/cpuinfo | head -n 1";
 
 /// Options of `cargo xtask release-page`.
 #[derive(Args)]
@@ -31,127 +31,95 @@ pub(crate) struct Options {
 /// # Errors
 /// If the page exists, something is not committed, or results of this commit are missing.
 pub(crate) fn run(Options { version }: &Options) -> Result<()> {
-    let sh = Shell::new()?;
     let name = format!("verification/v{version}.md");
     let path = root().join(&name);
-    ensure!(
-        !path.exists(),
-        "{name} exists: a page is not changed after its release"
-    );
+    ensure!(!path.exists(), "{name} is not changed after its release");
     let sources = Sources::now()?;
     ensure!(
         sources.committed,
-        "commit first: the page is about a commit"
+        "the page is about a commit: commit first"
     );
     let proofs: BTreeMap<String, Proof> = sources.read(proofs::RESULTS)?;
-    let harnesses = kani::list(&sources.worktree(0)?)?;
-    let not_run: Vec<_> = harnesses
-        .keys()
-        .filter(|name| !proofs.contains_key(*name))
-        .collect();
-    ensure!(
-        not_run.is_empty(),
-        "cargo xtask proofs has not run {not_run:?}"
-    );
+    for harness in kani::list(&sources.worktree(0)?)?.keys() {
+        ensure!(
+            proofs.contains_key(harness),
+            "{harness} was not run: cargo xtask proofs"
+        );
+    }
     let campaign: BTreeMap<String, Run> = sources.read("campaign")?;
     ensure!(
         !campaign.is_empty(),
-        "cargo xtask fuzz campaign was not run"
+        "there was no campaign: cargo xtask fuzz campaign"
     );
-
-    let mut missed = String::new();
-    let mut mutants = String::new();
-    for (results, command) in [
-        ("proof-mutants", "proofs --mutants"),
-        ("fuzz-mutants", "fuzz mutants"),
-    ] {
-        let outcomes: BTreeMap<String, BTreeMap<String, Outcome>> = sources.read(results)?;
-        ensure!(!outcomes.is_empty(), "cargo xtask {command} was not run");
-        let trials = outcomes
-            .iter()
-            .filter(|(name, _)| !name.starts_with("control-"));
-        let all = trials.clone().count();
-        let wrong = trials.flat_map(|(name, by)| by.iter().map(move |(by, what)| (name, by, what)));
-        for (name, by, what) in wrong.filter(|(.., what)| **what != Outcome::Caught) {
-            writeln!(missed, "* {name}, by `{by}`: {what:?}")?;
-        }
-        writeln!(
-            mutants,
-            "| `{command}` | {all} mutants, each tried with all that must notice it |"
-        )?;
-    }
-    for folder in ["cores", "tables"] {
-        let file = format!("{folder}/mutants.out/outcomes.json");
-        let said = text(&sources.results, &file).context("cargo xtask test --all was not run")?;
-        let said: Value = serde_json::from_str(&said)?;
-        let [caught, timeout, left, unviable, version] = [
-            "caught",
-            "timeout",
-            "missed",
-            "unviable",
-            "cargo_mutants_version",
-        ]
-        .map(|key| &said[key]);
-        writeln!(
-            mutants,
-            "| `cargo mutants`, {folder} | {caught} caught, {timeout} by tests that do not end, {left} missed, \
-             {unviable} do not compile; cargo-mutants {version} |"
-        )?;
-        let outcomes = said["outcomes"].as_array().context("outcomes")?;
-        for outcome in outcomes
-            .iter()
-            .filter(|outcome| outcome["summary"] == "MissedMutant")
-        {
-            writeln!(
-                missed,
-                "* {}, by any test",
-                outcome["scenario"]["Mutant"]["name"]
-            )?;
-        }
-    }
-    let set = |get: fn(&Proof) -> &String| {
-        let values: BTreeSet<_> = proofs.values().map(get).map(String::as_str).collect();
-        values.into_iter().collect::<Vec<_>>().join("; ")
-    };
-    let cpu = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let cpu = cpu.lines().find_map(|line| line.strip_prefix("model name"));
-    let cpu = cpu.unwrap_or_default().trim_matches([':', ' ', '\t']);
-    let cores = thread::available_parallelism().map_or(1, usize::from);
+    let sh = Shell::new()?;
+    let machine = cmd!(sh, "sh -c {MACHINE}").quiet().read()?;
     let verified = proofs.values().filter(|proof| proof.verified()).count();
-    let covers = |which: usize| {
-        proofs
-            .values()
-            .map(|proof| proof.covers[which])
-            .sum::<usize>()
-    };
+    let covers = |which: usize| -> usize { proofs.values().map(|it| it.covers[which]).sum() };
     let executions: u64 = campaign.values().map(|run| run.executions).sum();
     let seconds: u64 = campaign.values().map(|run| run.seconds).sum();
-    let found = campaign.iter().filter(|(_, run)| run.finding.is_some());
-    for (target, _) in found.clone() {
-        writeln!(missed, "* the campaign found something with `{target}`")?;
-    }
-    if missed.is_empty() {
-        missed += "None.\n";
-    }
-    let rustc = cmd!(sh, "rustc --version").quiet().read()?;
-    let page = format!(
+    let first = proofs.values().next().context("no proof")?;
+    let dates = proofs.values().map(|proof| &proof.date);
+    let (from, to) = (dates.clone().min(), dates.max());
+
+    let mut page = format!(
         "# Results of version {version}\n\n\
-         Made by `cargo xtask release-page {version}` and not changed since. Changes of the code after it:\n\
+         Made by `cargo xtask release-page {version}`, and not changed since. What has changed in the code:\n\
          `git diff --stat v{version} -- mavlink commsec store relay proofs`.\n\n\
          | | |\n|---|---|\n\
-         | commit | `{}` |\n| tools | {rustc}; {} |\n| machine | {cpu}, {cores} cores |\n| dates | {} |\n\
-         | proofs | {verified} of {} harnesses verified, {} of {} covers satisfied |\n{mutants}\
-         | campaign | {executions} executions of {} targets in {seconds} s, {} findings |\n\n\
-         ## Missed\n\n{missed}\n## Harnesses\n\nTime and memory are CBMC's.\n\n{}\n",
+         | commit | `{}` |\n| tools and machine | {}; {} |\n| date | {} to {} |\n\
+         | proofs | {verified} of {} harnesses verified, {} of {} covers satisfied |\n\
+         | campaign | {executions} executions of {} targets in {seconds} s of targets |\n",
         sources.commit,
-        set(|proof| &proof.tools),
-        set(|proof| &proof.date),
+        first.tools,
+        machine.replace('\n', ", "),
+        from.context("no date")?,
+        to.context("no date")?,
         proofs.len(),
         covers(0),
         covers(1),
         campaign.len(),
-        found.count(),
-        proofs::table(&proofs),
     );
+    let mut missed = String::new();
+    for command in ["proofs --mutants", "fuzz mutants"] {
+        let results = command.replace(" --", "-").replace(' ', "-");
+        let outcomes: BTreeMap<String, BTreeMap<String, Outcome>> = sources.read(&results)?;
+        ensure!(
+            !outcomes.is_empty(),
+            "no mutant was tried: cargo xtask {command}"
+        );
+        writeln!(
+            page,
+            "| `{command}` | {} mutants and controls |",
+            outcomes.len()
+        )?;
+        for (name, by) in outcomes {
+            let wrong = by.iter().filter(|(_, what)| **what != Outcome::Caught);
+            missed.extend(wrong.map(|(by, what)| format!("* {name}, by `{by}`: {what:?}\n")));
+        }
+    }
+    for results in ["cores", "tables"] {
+        let file = |kind| {
+            text(
+                &sources.results,
+                &format!("{results}/mutants.out/{kind}.txt"),
+            )
+        };
+        let count = |kind| anyhow::Ok(file(kind)?.lines().count());
+        let [caught, timeout] = [count("caught")?, count("timeout")?];
+        writeln!(
+            page,
+            "| `cargo mutants`, {results} | {caught} caught, {timeout} by tests that do not end, {} missed |",
+            count("missed")?,
+        )?;
+        missed.extend(file("missed")?.lines().map(|name| format!("* {name}\n")));
+    }
+    let found = campaign.iter().filter(|(_, run)| !run.finding.is_empty());
+    missed.extend(found.map(|(target, _)| format!("* `{target}` failed in the campaign\n")));
+    write!(
+        page,
+        "\n## Missed\n\nThe control that changes nothing must be here; else only what is wrong.\n\n{missed}\n\
+         ## Harnesses\n\nTime and memory are CBMC's.\n\n{}\n",
+        proofs::table(&proofs),
+    )?;
     fs::write(&path, page).context(name)
 }

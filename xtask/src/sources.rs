@@ -5,10 +5,11 @@ use std::{
     fs,
     path::{Path, PathBuf},
     sync::{Mutex, MutexGuard, PoisonError},
-    thread,
 };
 
 use anyhow::{Context, Result};
+use rayon::{ThreadPoolBuilder, current_thread_index, prelude::*};
+use regex::Regex;
 use serde::{Serialize, de::DeserializeOwned};
 use xshell::{Shell, cmd};
 
@@ -77,33 +78,33 @@ impl Sources {
         Ok(path)
     }
 
-    /// Adds a result to `NAME.json`.
+    /// Keeps a result in the folder `NAME`.
     ///
     /// # Errors
     /// If the file cannot be written.
     pub(crate) fn record(&self, name: &str, key: &str, value: &impl Serialize) -> Result<()> {
-        static WRITING: Mutex<()> = Mutex::new(());
-        let _writing = lock(&WRITING);
-        let mut all: BTreeMap<String, serde_json::Value> = self.read(name)?;
-        all.insert(key.to_owned(), serde_json::to_value(value)?);
-        let path = self.results.join(name).with_extension("json");
-        fs::write(path, serde_json::to_string_pretty(&all)?).context(name.to_owned())
+        let folder = self.results.join(name);
+        fs::create_dir_all(&folder)?;
+        fs::write(folder.join(key), serde_json::to_string_pretty(value)?)?;
+        Ok(())
     }
 
-    /// The results in `NAME.json`; none if there is no such file.
+    /// The results in the folder `NAME`; none if there is no such folder.
     ///
     /// # Errors
-    /// If it is not as [`record`](Self::record) writes it.
+    /// If one is not as [`record`](Self::record) writes it.
     pub(crate) fn read<T: DeserializeOwned>(&self, name: &str) -> Result<BTreeMap<String, T>> {
-        let path = self.results.join(name).with_extension("json");
-        match fs::read_to_string(&path) {
-            Ok(text) => serde_json::from_str(&text).with_context(|| path.display().to_string()),
-            Err(_) => Ok(BTreeMap::new()),
+        let folder = self.results.join(name);
+        let mut results = BTreeMap::new();
+        for file in fs::read_dir(&folder).into_iter().flatten() {
+            let key = file?.file_name().to_string_lossy().into_owned();
+            results.insert(key.clone(), serde_json::from_str(&text(&folder, &key)?)?);
         }
+        Ok(results)
     }
 }
 
-/// Has `jobs` workers, numbered from 0, do `work` on `items` in order; all of them, also after an error.
+/// Has `jobs` workers, numbered from 0, do `work` on `items`; all of them, also after an error.
 ///
 /// # Errors
 /// One of those of `work`.
@@ -112,22 +113,11 @@ pub(crate) fn share<T: Send>(
     items: Vec<T>,
     work: impl Fn(usize, T) -> Result<()> + Sync,
 ) -> Result<()> {
-    let (items, outcome) = (Mutex::new(items.into_iter()), Mutex::new(Ok(())));
-    let worker = |number| {
-        let next = || lock(&items).next();
-        while let Some(item) = next() {
-            if let Err(error) = work(number, item) {
-                *lock(&outcome) = Err(error);
-            }
-        }
-    };
-    thread::scope(|scope| {
-        for number in 0..jobs.max(1) {
-            let worker = &worker;
-            scope.spawn(move || worker(number));
-        }
-    });
-    outcome.into_inner().unwrap_or_else(PoisonError::into_inner)
+    let pool = ThreadPoolBuilder::new().num_threads(jobs).build()?;
+    // One item at a time, as some take a second and others an hour.
+    let items = items.into_par_iter().with_max_len(1);
+    let work = |item| work(current_thread_index().unwrap_or(0), item);
+    pool.install(|| items.map(work).reduce(|| Ok(()), Result::and))
 }
 
 /// What a mutex holds, also after a panic.
@@ -142,6 +132,25 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 pub(crate) fn today() -> Result<String> {
     let sh = Shell::new()?;
     Ok(cmd!(sh, "date -u +%F").quiet().read()?)
+}
+
+/// What the group of a regular expression matches in `text`, each time; the same again in a row counts once.
+pub(crate) fn find_all(pattern: &str, text: &str) -> Vec<String> {
+    let pattern = Regex::new(pattern).expect("a pattern");
+    let mut all: Vec<_> = pattern
+        .captures_iter(text)
+        .map(|found| found[1].to_owned())
+        .collect();
+    all.dedup();
+    all
+}
+
+/// The first that [`find_all`] finds, or nothing.
+pub(crate) fn find(pattern: &str, text: &str) -> String {
+    find_all(pattern, text)
+        .into_iter()
+        .next()
+        .unwrap_or_default()
 }
 
 /// The text of a file of the project.

@@ -1,40 +1,108 @@
 //! `cargo xtask test`: everything that must hold, each step to its end, one verdict.
 
 use std::{
-    fs,
-    path::Path,
-    process::Command,
+    process::{Command, exit},
     sync::mpsc,
     thread,
     time::{Duration, Instant},
 };
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, ensure};
 use clap::Args;
-use mavseal_chips_host::{Chip, KEYS_VARIABLE, keys};
+use mavseal_chips_host::{KEYS_VARIABLE, keys};
 
 use crate::{
-    fuzz, proofs,
     setup::{self, root},
     sources::Sources,
 };
 
-/// The cores, which are built for every chip.
-const CORES: &str = "-p mavlink-signing -p mavlink-commsec -p mavseal-store -p mavseal-relay";
 /// Targets that the cores alone are built for: those of the chips, and one that no chip has.
 const CORE_TARGETS: [&str; 3] = [
     "thumbv7em-none-eabihf",
     "thumbv6m-none-eabi",
     "riscv32imc-unknown-none-elf",
 ];
+const CORES: &str = "-p mavlink-signing -p mavlink-commsec -p mavseal-store -p mavseal-relay";
+/// The status of a command for which something is missing, as automake's tests have it.
+const NOT_RUN: i32 = 77;
 /// How often a step that is still running says so.
 const HEARTBEAT: Duration = Duration::from_secs(20);
+
+/// Steps, each a name and what a shell in the project's folder runs. Where that ends with [`NOT_RUN`], something is
+/// missing.
+const STEPS: &str = r#"
+formatting
+cargo fmt --version || rustup component add rustfmt
+for folder in . chips chips/examples/embassy fuzz interop; do (cd $folder && cargo fmt --all --check); done
+
+lints
+cargo clippy --version || rustup component add clippy
+cargo clippy --quiet --locked --workspace --all-targets --features mavseal-keys/cli,mavseal-relay/std -- -D warnings
+cargo clippy --quiet --locked $CORES --features defmt -- -D warnings
+(cd fuzz && cargo clippy --quiet --locked --no-default-features --all-targets -- -D warnings)
+
+documentation
+RUSTDOCFLAGS='-D warnings' cargo doc --quiet --locked --workspace --no-deps
+
+cores alone for microcontrollers
+for target in $TARGETS; do cargo build --quiet --locked --target $target $CORES; done
+
+firmware lints
+clippy() { cargo clippy --quiet --locked --no-default-features --features $1 -- -D warnings; }
+signing='common common,logging common,logging,standard-signature minimal,leaky'
+(cd chips/stm32c092rc && for features in $signing; do clippy $features; done)
+sealing='common,sealing common,logging,sealing'
+(cd chips/qemu-m7 && for features in $signing $sealing; do clippy $features; done)
+(cd chips/examples/embassy && cargo clippy --quiet --locked -- -D warnings)
+
+host and doc tests
+others='--exclude mavseal-e2e --exclude mavseal-chips-host'
+cargo test --quiet --locked --workspace $others --features mavseal-keys/cli,mavseal-relay/std
+cargo test --quiet --locked -p mavlink-signing -p mavseal-proofs --features mavlink-signing/fast-checksum
+
+shipped images on emulated chips
+cargo test --quiet --locked -p mavseal-chips-host
+
+plays over the emulated machine
+cargo test --quiet --locked -p mavseal-e2e
+
+fast proofs
+cargo xtask proofs --fast
+
+committed inputs of the fuzz targets
+(cd fuzz && cargo test --quiet --locked --no-default-features)
+
+fuzz targets, four seconds each
+cargo xtask fuzz smoke
+"#;
+
+/// What takes long or installs much.
+const ALL: &str = r#"
+every wrong tag rejected in constant time
+cargo test --quiet --locked -p mavseal-chips-host every_wrong_tag -- --ignored --nocapture
+
+100,000 histories of a link
+cargo test --quiet --locked --release -p mavseal-relay --test simulation -- --ignored --nocapture
+
+mutants of the cores
+cargo mutants --version || cargo install --locked cargo-mutants
+mkdir -p $RESULTS/cores $RESULTS/tables
+# 3: the tests did not end, which is noticed too.
+cargo mutants --output $RESULTS/cores || [ $? -eq 3 ]
+cargo mutants --config .cargo/mutants-tables.toml --output $RESULTS/tables || [ $? -eq 3 ]
+
+interoperation with unmodified peers
+(cd interop && cargo clippy --quiet --locked --workspace --all-targets -- -D warnings)
+# The benchmark is no test: `cargo xtask bench`.
+(cd interop && cargo test --quiet --locked --workspace --lib --bins)
+cargo xtask interop
+"#;
 
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: every wrong tag, 100,000
-    /// histories of a link, the mutants of the cores, and unmodified peers
+    /// Also what takes long or installs much: every wrong tag, 100,000 histories of a link, the mutants of the
+    /// cores, and unmodified peers
     #[arg(long)]
     all: bool,
 }
@@ -47,70 +115,63 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let mut checks = Checks::default();
     checks.step("what the tests need", || {
         setup::qemu()?;
-        CORE_TARGETS.into_iter().try_for_each(setup::target)
+        CORE_TARGETS.into_iter().try_for_each(setup::target)?;
+        Ok(true)
     });
-    checks.step("formatting", formatting);
-    checks.step("lints", lints);
-    checks.step("documentation", || {
-        let doc = "cargo doc --quiet --locked --workspace --no-deps";
-        call(".", doc, &[("RUSTDOCFLAGS", "-D warnings")])
-    });
-    checks.step("cores alone for microcontrollers", cores_alone);
-    checks.step("firmware lints", firmware_lints);
-    checks.step("host and doc tests", || {
-        cargo(".", "test --workspace --exclude mavseal-e2e --exclude mavseal-chips-host --features mavseal-keys/cli")?;
-        let tables = "--features mavlink-signing/fast-checksum";
-        cargo(".", &format!("test -p mavlink-signing -p mavseal-proofs {tables}"))
-    });
-    checks.step("shipped images on emulated chips", || {
-        cargo(".", "test -p mavseal-chips-host")
-    });
-    checks.step("plays over the emulated machine", || {
-        cargo(".", "test -p mavseal-e2e")
-    });
-    checks.step_unless("fast proofs", proofs::fast);
-    checks.step("committed inputs of the fuzz targets", || {
-        cargo("fuzz", "test --no-default-features")
-    });
-    checks.step_unless("fuzz targets, four seconds each", fuzz::smoke);
+    checks.shell(STEPS)?;
     if options.all {
-        checks.step("every wrong tag rejected in constant time", || {
-            cargo(
-                ".",
-                "test -p mavseal-chips-host every_wrong_tag -- --ignored --nocapture",
-            )
-        });
-        checks.step("100,000 histories of a link", || {
-            cargo(
-                ".",
-                "test --release -p mavseal-relay --test simulation -- --ignored --nocapture",
-            )
-        });
-        checks.step("mutants of the cores", mutants);
-        checks.step("interoperation with unmodified peers", || {
-            cargo("interop", "clippy --workspace --all-targets -- -D warnings")?;
-            // The benchmark is no test: `cargo xtask bench`.
-            cargo("interop", "test --workspace --lib --bins")?;
-            call(".", "cargo xtask interop", &[])
-        });
+        checks.shell(ALL)?;
     }
-    checks.finish()
+    let Checks {
+        passed,
+        skipped,
+        failed,
+    } = checks;
+    println!(
+        "\n{passed} passed, {} failed, {skipped} skipped",
+        failed.len()
+    );
+    ensure!(failed.is_empty(), "failed: {}", failed.join(", "));
+    Ok(())
+}
+
+/// Ends this program, as something is missing.
+pub(crate) fn not_run(missing: &str) -> ! {
+    eprintln!("not run: {missing}");
+    exit(NOT_RUN)
 }
 
 #[derive(Default)]
 struct Checks {
     passed: usize,
     skipped: usize,
-    failed: Vec<&'static str>,
+    failed: Vec<String>,
 }
 
 impl Checks {
-    fn step(&mut self, name: &'static str, check: impl FnOnce() -> Result<()>) {
-        self.step_unless(name, || check().map(|()| None));
+    /// Takes steps from a text like [`STEPS`].
+    fn shell(&mut self, steps: &str) -> Result<()> {
+        let (keys, results) = (keys()?, Sources::now()?.results);
+        for step in steps.trim().split("\n\n") {
+            let (name, script) = step.split_once('\n').unwrap_or((step, ""));
+            self.step(name, || {
+                let mut shell = Command::new("sh");
+                shell.current_dir(root()).args(["-exc", script]);
+                shell
+                    .env("CORES", CORES)
+                    .env("TARGETS", CORE_TARGETS.join(" "));
+                shell.env("RESULTS", &results).env(KEYS_VARIABLE, &keys);
+                let status = shell.status()?;
+                let not_run = status.code() == Some(NOT_RUN);
+                ensure!(not_run || status.success(), "{status}");
+                Ok(!not_run)
+            });
+        }
+        Ok(())
     }
 
-    /// A check that may say why it could not be made.
-    fn step_unless(&mut self, name: &'static str, check: impl FnOnce() -> Result<Option<String>>) {
+    /// Runs a check, which gives false where it could not be made.
+    fn step(&mut self, name: &str, check: impl FnOnce() -> Result<bool>) {
         println!("\n== {name}");
         let start = Instant::now();
         let result = thread::scope(|scope| {
@@ -124,158 +185,21 @@ impl Checks {
             drop(end);
             result
         });
-        let seconds = start.elapsed().as_secs_f32();
-        match result {
-            Ok(None) => {
-                self.passed += 1;
-                println!("== {name}: ok, {seconds:.1} s");
-            }
-            Ok(Some(reason)) => {
-                self.skipped += 1;
-                println!("== {name}: NOT RUN, {reason}");
-            }
-            Err(error) => {
-                self.failed.push(name);
-                println!("== {name}: FAILED, {seconds:.1} s\n{error:#}");
-            }
-        }
-    }
-
-    fn finish(self) -> Result<()> {
-        let Self {
-            passed,
-            skipped,
-            failed,
-        } = self;
-        println!(
-            "\n{passed} passed, {} failed, {skipped} skipped",
-            failed.len()
-        );
-        ensure!(failed.is_empty(), "failed: {}", failed.join(", "));
-        Ok(())
-    }
-}
-
-/// Says `line` and runs it, in `folder` of the project.
-fn call(folder: &str, line: &str, variables: &[(&str, &str)]) -> Result<()> {
-    println!("$ {line}");
-    let mut words = line.split(' ');
-    let mut command = Command::new(words.next().unwrap_or_default());
-    command.current_dir(root().join(folder)).args(words);
-    succeed(command.envs(variables.iter().copied()))
-}
-
-/// Runs cargo with these words, in `folder` of the project.
-fn cargo(folder: &str, words: &str) -> Result<()> {
-    let (command, rest) = words
-        .split_once(' ')
-        .context("a command and its arguments")?;
-    call(
-        folder,
-        &format!("cargo {command} --quiet --locked {rest}"),
-        &[],
-    )
-}
-
-/// Whether cargo has this command.
-fn has(command: &str) -> bool {
-    let output = Command::new("cargo").args([command, "--version"]).output();
-    output.is_ok_and(|output| output.status.success())
-}
-
-fn formatting() -> Result<()> {
-    if !has("fmt") {
-        call(".", "rustup component add rustfmt", &[])?;
-    }
-    let workspaces = [".", "chips", "fuzz", "interop"];
-    workspaces
-        .iter()
-        .try_for_each(|folder| call(folder, "cargo fmt --all --check", &[]))
-}
-
-fn lints() -> Result<()> {
-    if !has("clippy") {
-        call(".", "rustup component add clippy", &[])?;
-    }
-    cargo(
-        ".",
-        "clippy --workspace --all-targets --features mavseal-keys/cli -- -D warnings",
-    )?;
-    cargo(
-        ".",
-        &format!("clippy {CORES} --features defmt -- -D warnings"),
-    )?;
-    cargo(
-        "fuzz",
-        "clippy --no-default-features --all-targets -- -D warnings",
-    )
-}
-
-/// Every small change of the cores that cargo-mutants can make, but those that its configuration leaves out.
-fn mutants() -> Result<()> {
-    if !has("mutants") {
-        println!("cargo-mutants is missing and takes some minutes to install");
-        call(".", "cargo install --locked cargo-mutants", &[])?;
-    }
-    let results = Sources::now()?.results;
-    for (name, config) in [("cores", "mutants.toml"), ("tables", "mutants-tables.toml")] {
-        let mut cargo = Command::new("cargo");
-        cargo
-            .current_dir(root())
-            .args(["mutants", "--config"])
-            .arg(Path::new(".cargo").join(config));
-        fs::create_dir_all(results.join(name))?;
-        let status = cargo.arg("--output").arg(results.join(name)).status()?;
-        // 3: tests did not end, which is noticed too.
-        ensure!(
-            matches!(status.code(), Some(0 | 3)),
-            "cargo mutants: {status}"
-        );
-    }
-    Ok(())
-}
-
-/// A new chip needs no change to the cores: they build for one that no crate of `chips/` is for.
-fn cores_alone() -> Result<()> {
-    CORE_TARGETS
-        .iter()
-        .try_for_each(|target| cargo(".", &format!("build --target {target} {CORES}")))
-}
-
-fn firmware_lints() -> Result<()> {
-    let keys = keys()?.display().to_string();
-    for chip in Chip::ALL {
-        let sealing = match chip {
-            Chip::QemuM7 => &["common,sealing", "common,logging,sealing"][..],
-            Chip::Stm32c092rc => &[],
+        let verdict = match result {
+            Ok(true) => "ok".to_owned(),
+            Ok(false) => "NOT RUN, something is missing".to_owned(),
+            Err(ref error) => format!("FAILED, {error:#}"),
         };
-        let signing = [
-            "common",
-            "common,logging",
-            "common,logging,standard-signature",
-            "minimal,leaky",
-        ];
-        for features in signing.iter().chain(sealing) {
-            let line = format!(
-                "cargo clippy --quiet --locked --no-default-features --target {} --features {features} -- -D warnings",
-                chip.target()
-            );
-            call(
-                &format!("chips/{}", chip.folder()),
-                &line,
-                &[(KEYS_VARIABLE, &keys)],
-            )?;
+        println!(
+            "== {name}: {verdict}, {:.1} s",
+            start.elapsed().as_secs_f32()
+        );
+        match result {
+            Ok(true) => self.passed += 1,
+            Ok(false) => self.skipped += 1,
+            Err(_) => self.failed.push(name.to_owned()),
         }
     }
-    Ok(())
-}
-
-fn succeed(command: &mut Command) -> Result<()> {
-    let status = command.status()?;
-    if !status.success() {
-        bail!("{command:?} ended with {status}");
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -283,13 +207,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_failed_step_is_told_at_the_end() {
+    fn what_fails_is_told_and_does_not_keep_others_from_running() -> Result<()> {
         let mut checks = Checks::default();
-        checks.step("good", || Ok(()));
-        checks.step("bad", || bail!("x"));
-        checks.step_unless("missing", || Ok(Some("no tool".to_owned())));
+        let steps = "bad\nfalse\ntrue\n\ngood\ntest -n \"$CORES\"\n\nmissing\nexit 77";
+        checks.shell(steps)?;
         assert_eq!((checks.passed, checks.skipped), (1, 1));
-        let said = checks.finish().expect_err("one failed").to_string();
-        assert_eq!(said, "failed: bad");
+        assert_eq!(checks.failed, ["bad"]);
+        Ok(())
     }
 }

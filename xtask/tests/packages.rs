@@ -79,6 +79,10 @@ fn packed_crates_pass_their_own_tests() {
     fs::write(packed.join("Cargo.toml"), workspace).expect("a manifest");
     fs::copy(root.join("Cargo.lock"), packed.join("Cargo.lock")).expect("the versions in use");
     let mut test = cargo(&packed, &["test", "--quiet", "--workspace", "--offline"]);
-    test.args(["--features", "mavseal-store/model", "--target-dir"]);
+    test.args([
+        "--features",
+        "mavseal-store/model,mavseal-keys/cli",
+        "--target-dir",
+    ]);
     run(test.arg(folder.join("target")));
 }

@@ -27,7 +27,8 @@ pub struct Line<R: ErrorType, W> {
 
 /// Moves bytes between `endpoint` and two lines until one of them is closed; returns which.
 ///
-/// A line is closed when its reader reads 0 bytes or fails as [`LineEvent::Closed`], or when its writer fails. No read
+/// A line is closed when its reader reads 0 bytes or fails as [`LineEvent::Closed`], or when its writer
+/// takes 0 bytes or fails. No read
 /// and no write is given up before that, so that they need not be cancel safe.
 ///
 /// `wait_until` waits for a time of `clock`'s [`monotonic`](LinkClock::monotonic), in ticks of 10 microseconds. It may
@@ -116,10 +117,15 @@ impl<E: Endpoint, C: LinkClock, O: FnMut(E::Event)> Shared<'_, E, C, O> {
                 Poll::Ready(count)
             })
             .await;
-            let written = writer
-                .write_all(bytes.get(..count).unwrap_or_default())
-                .await;
-            if written.is_err() || writer.flush().await.is_err() {
+            let mut rest = bytes.get(..count).unwrap_or_default();
+            // Not `write_all`, which panics where a port has ended.
+            while !rest.is_empty() {
+                match writer.write(rest).await {
+                    Ok(0) | Err(_) => return,
+                    Ok(written) => rest = rest.get(written..).unwrap_or_default(),
+                }
+            }
+            if writer.flush().await.is_err() {
                 return;
             }
         }

@@ -13,18 +13,17 @@ use anyhow::{Result, ensure};
 use regex::Regex;
 use serde::{Deserialize, Serialize};
 
-use crate::sources::{text, today};
+use crate::sources::{find, find_all, text, today};
 
 /// Failures of these classes, or with these descriptions, say that Kani did not get to the end, not that a
 /// property is wrong.
 const NO_REFUTATION: &str = "^(unwind|recursion|unsupported_construct|missing_definition|reachability_check|\
-    sanity_check|cover)$|unwinding assertion|not currently supported by Kani|missing definition";
-
+    sanity_check)$|unwinding assertion|not currently supported by Kani|missing definition";
 /// The most that CBMC may use. How long it may take stands in Cargo.toml.
 const MEMORY_MB: u64 = 8000;
 
 /// How a harness ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Verdict {
     /// Every check holds and every cover is satisfied.
     Verified,
@@ -68,8 +67,7 @@ fn kani() -> Command {
 
 /// The version of the installed Kani, if there is one.
 pub(crate) fn installed() -> Option<String> {
-    let output = kani().arg("--version").output().ok()?;
-    let said = String::from_utf8(output.stdout).ok()?;
+    let said = String::from_utf8(kani().arg("--version").output().ok()?.stdout).ok()?;
     Some(said.trim().strip_prefix("cargo-kani ")?.to_owned())
 }
 
@@ -78,11 +76,6 @@ pub(crate) fn installed() -> Option<String> {
 /// # Errors
 /// If Kani cannot list them, or two have one name.
 pub(crate) fn list(tree: &Path) -> Result<BTreeMap<String, String>> {
-    #[derive(Deserialize)]
-    #[serde(rename_all = "kebab-case")]
-    struct List {
-        standard_harnesses: BTreeMap<String, Vec<String>>,
-    }
     // Kani leaves its list where it is called. Here it rejects the flags of the workspace, so that the manifest
     // of the package is named.
     let folder = tree.join("target/kani");
@@ -96,14 +89,14 @@ pub(crate) fn list(tree: &Path) -> Result<BTreeMap<String, String>> {
         .output()?;
     let said = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "cargo kani list: {said}");
-    let list: List = serde_json::from_str(&text(&folder, "kani-list.json")?)?;
+    let list: serde_json::Value = serde_json::from_str(&text(&folder, "kani-list.json")?)?;
+    let files = list["standard-harnesses"].as_object().into_iter().flatten();
     let mut harnesses = BTreeMap::new();
-    for path in list.standard_harnesses.into_values().flatten() {
-        let name = path.rsplit("::").next().unwrap_or(&path).to_owned();
-        ensure!(
-            harnesses.insert(name, path.clone()).is_none(),
-            "two harnesses are called {path}"
-        );
+    for path in files.filter_map(|(_, paths)| paths.as_array()).flatten() {
+        let path = path.as_str().unwrap_or_default();
+        let name = path.rsplit("::").next().unwrap_or(path);
+        let other = harnesses.insert(name.to_owned(), path.to_owned());
+        ensure!(other.is_none(), "two harnesses are called {name}");
     }
     Ok(harnesses)
 }
@@ -126,118 +119,94 @@ pub(crate) fn prove(tree: &Path, path: &str, log: &Path) -> Result<Proof> {
         .stderr(file);
     let mut child = command.spawn()?;
     let mut peak = 0;
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break status;
-        }
+    while child.try_wait()?.is_none() {
         let output = Command::new("ps")
             .args(["-e", "-o", "pid=,rss=,args="])
             .output()?;
-        let output = String::from_utf8_lossy(&output.stdout);
-        let ours = |line: &&str| line.contains(" cbmc ") && line.contains(&*tree.to_string_lossy());
-        for cbmc in output.lines().filter(ours) {
-            let mut words = cbmc.split_whitespace();
-            let id = words.next().unwrap_or_default();
-            let kilobytes = words
-                .next()
-                .and_then(|rss| rss.parse().ok())
-                .unwrap_or(0u64);
-            peak = peak.max(kilobytes * 1024 / 1_000_000);
-            if peak > MEMORY_MB {
-                Command::new("kill").args(["-KILL", id]).status()?;
+        for line in String::from_utf8_lossy(&output.stdout).lines() {
+            let mut words = line.split_whitespace();
+            let (Some(id), Some(rss), Some("cbmc")) = (words.next(), words.next(), words.next())
+            else {
+                continue;
+            };
+            if line.contains(&*tree.to_string_lossy()) {
+                peak = peak.max(rss.parse::<u64>()? * 1024 / 1_000_000);
+                if peak > MEMORY_MB {
+                    Command::new("kill").args(["-KILL", id]).status()?;
+                }
             }
         }
         thread::sleep(Duration::from_millis(200));
-    };
+    }
     let output = String::from_utf8_lossy(&fs::read(log)?).into_owned();
-    let proof = Proof::read(&output, path)?;
-    let failed = proof.verified() && !status.success();
-    let verdict = if failed {
-        Verdict::Error
-    } else {
-        proof.verdict
-    };
-    Ok(Proof {
-        verdict,
-        memory_mb: peak,
-        ..proof
-    })
+    let mut proof = Proof::read(&output, path)?;
+    if proof.verified() && !child.wait()?.success() {
+        proof.verdict = Verdict::Error;
+    }
+    proof.memory_mb = peak;
+    Ok(proof)
 }
 
 impl Proof {
     /// Reads the output of `cargo kani` in its regular format.
     fn read(output: &str, path: &str) -> Result<Self> {
-        let all = |pattern: &str| {
-            let pattern = Regex::new(pattern).expect("a pattern");
-            let all = pattern.captures_iter(output).map(|c| c[1].to_owned());
-            let mut all: Vec<String> = all.collect();
-            all.dedup();
-            all
-        };
-        let one = |pattern: &str| all(pattern).into_iter().next().unwrap_or_default();
-        let check = r#"(?m)^Check \d+: (.*)\n\s+- Status: (\w+)\n\s+- Description: "?(.*?)"?$"#;
-        let check = Regex::new(check)?;
-        let checks = check
-            .captures_iter(output)
-            .map(|check| check.extract::<3>().1);
-        let class = |name: &str| name.rsplit('.').nth(1).unwrap_or_default().to_owned();
-        let (covers, checks): (Vec<[&str; 3]>, Vec<_>) =
-            checks.partition(|[name, ..]| class(name) == "cover");
-        let missed = covers
-            .iter()
-            .filter(|[_, status, _]| *status != "SATISFIED");
-        let missed: Vec<_> = missed
-            .map(|[_, status, text]| format!("{text} ({status})"))
-            .collect();
-        let satisfied = covers.len() - missed.len();
-
+        let check = Regex::new(
+            r#"(?m)^Check \d+: (.*)\n\s+- Status: (\w+)\n\s+- Description: "?(.*?)"?$"#,
+        )?;
         let no_refutation = Regex::new(NO_REFUTATION)?;
-        let no_refutation = |text: &str| no_refutation.is_match(text);
-        let passes = |status: &str| matches!(status, "SUCCESS" | "UNREACHABLE");
-        let mut failed = checks
-            .iter()
-            .filter(|[_, status, _]| !passes(status))
-            .peekable();
-        let first = failed.peek().map(|[_, _, text]| *text);
-        let refuted = failed.find(|[name, status, text]| {
-            *status == "FAILURE" && !no_refutation(&class(name)) && !no_refutation(text)
-        });
-        let ran = all(r"(?m)^Checking harness (.+)\.\.\.$") == [path];
-        let verdict = all(r"(?m)^VERIFICATION:- (\w+)");
-        let verdict = verdict
-            .first()
-            .filter(|_| ran && verdict.len() == 1)
-            .map(String::as_str);
-        let summary = format!("{satisfied} of {} cover properties satisfied", covers.len());
-        let (verdict, reason) = match (verdict, refuted) {
-            (Some("SUCCESSFUL"), _) if covers.is_empty() => {
-                (Verdict::Vacuous, "no cover".to_owned())
+        let (mut checks, mut covers, mut missed) = (0, 0, Vec::new());
+        let (mut failed, mut refuted) = (None, None);
+        for [name, status, text] in check.captures_iter(output).map(|check| check.extract().1) {
+            let class = name.rsplit('.').nth(1).unwrap_or_default();
+            if class == "cover" {
+                covers += 1;
+                if status != "SATISFIED" {
+                    missed.push(format!("{text} ({status})"));
+                }
+                continue;
             }
-            (Some("SUCCESSFUL"), _) if !missed.is_empty() => (Verdict::Vacuous, missed.join(", ")),
-            (Some("SUCCESSFUL"), None) if first.is_none() && output.contains(&summary) => {
+            checks += 1;
+            if !matches!(status, "SUCCESS" | "UNREACHABLE") {
+                failed = failed.or(Some(text));
+                let incomplete = no_refutation.is_match(class) || no_refutation.is_match(text);
+                if status == "FAILURE" && !incomplete {
+                    refuted = refuted.or(Some(text));
+                }
+            }
+        }
+        let satisfied = covers - missed.len();
+        let summary = format!("{satisfied} of {covers} cover properties satisfied");
+        let ran = find_all(r"(?m)^Checking harness (.+)\.\.\.$", output) == [path];
+        let verdicts = find_all(r"(?m)^VERIFICATION:- (\w+)", output).join(" ");
+        let (verdict, reason) = match (&*verdicts, refuted) {
+            ("SUCCESSFUL", None) if ran && covers == 0 => (Verdict::Vacuous, "no cover".to_owned()),
+            ("SUCCESSFUL", None) if ran && satisfied < covers => {
+                (Verdict::Vacuous, missed.join(", "))
+            }
+            ("SUCCESSFUL", None) if ran && failed.is_none() && output.contains(&summary) => {
                 (Verdict::Verified, String::new())
             }
-            (Some("FAILED"), Some([_, _, text])) => (Verdict::Refuted, (*text).to_owned()),
+            ("FAILED", Some(text)) if ran => (Verdict::Refuted, text.to_owned()),
             _ => {
-                let said = one(r"(?m)^(error.*|CBMC failed.*|CBMC timed out.*|.*out of memory.*)$");
-                (Verdict::Error, first.map_or(said, str::to_owned))
+                let said = find(r"(?m)^(error.*|CBMC failed.*|CBMC timed out.*)$", output);
+                (Verdict::Error, failed.map_or(said, str::to_owned))
             }
         };
         Ok(Self {
             verdict,
             reason,
-            checks: checks.len(),
-            covers: [satisfied, covers.len()],
-            solver: all(r"(?m)^Solving with (.+)$").join(", "),
-            seconds: one(r"(?m)^Verification Time: ([\d.]+)s")
+            checks,
+            covers: [satisfied, covers],
+            solver: find_all(r"(?m)^Solving with (.+)$", output).join(", "),
+            seconds: find(r"(?m)^Verification Time: ([\d.]+)s", output)
                 .parse()
                 .unwrap_or(0.0),
             memory_mb: 0,
             tools: format!(
                 "Kani {}, CBMC {}, rustc {}",
-                one(r"Kani Rust Verifier (\S+)"),
-                one(r"(?m)^CBMC version (\S+)"),
-                one(r"/toolchains/((?:nightly|stable|beta)[-\d]*\d)"),
+                find(r"Kani Rust Verifier (\S+)", output),
+                find(r"(?m)^CBMC version (\S+)", output),
+                find(r"/toolchains/((?:nightly|stable|beta)[-\d]*\d)", output),
             ),
             date: today()?,
         })

@@ -14,9 +14,8 @@ use crate::{
     sources::Sources,
 };
 
-/// Tries each mutant with the harnesses and property tests that must notice it; without Kani, `missing`, with
-/// the tests alone.
-pub(super) fn run(missing: Option<String>, only: &[String], jobs: usize) -> Result<()> {
+/// Tries each mutant with the harnesses and property tests that must notice it; without Kani, with the tests alone.
+pub(super) fn run(kani: bool, only: &[String], jobs: usize) -> Result<()> {
     let sources = Sources::now()?;
     let tree = sources.worktree(0)?;
     let mutants = Mutant::load(&tree, only)?;
@@ -27,9 +26,7 @@ pub(super) fn run(missing: Option<String>, only: &[String], jobs: usize) -> Resu
         ensure!(passed, "property tests fail without a mutant: {output}");
     }
     let mut harnesses = BTreeMap::new();
-    if let Some(missing) = &missing {
-        println!("{missing}\nOnly property tests are tried.");
-    } else {
+    if kani {
         harnesses = kani::list(&tree)?;
         let known: BTreeMap<String, Proof> = sources.read(RESULTS)?;
         let mut unproved = BTreeMap::new();
@@ -45,7 +42,7 @@ pub(super) fn run(missing: Option<String>, only: &[String], jobs: usize) -> Resu
             prove(&sources, unproved, jobs)?;
         }
     }
-    each(&sources, "proof-mutants", mutants, jobs, |mutant, tree| {
+    each(&sources, "proofs-mutants", mutants, jobs, |mutant, tree| {
         let mut outcomes = BTreeMap::new();
         let prefixes = mutant.tests();
         let output = tests(tree, &prefixes)?;
