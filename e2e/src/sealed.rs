@@ -10,7 +10,7 @@ use std::{
     time::{SystemTime, UNIX_EPOCH},
 };
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, ensure};
 use mavlink_commsec::{Sealer, SealingKey, SenderId, hx};
 use mavseal_chips_host::{Chip, Image};
 use mavseal_keys::KeyFile;
@@ -23,10 +23,13 @@ use crate::{
     },
     wire::{self, Frame},
 };
+use station::Sealed;
 use vehicle::{STATUS, Vehicle, frame_of};
 
 /// How many ground stations there are.
 const STATIONS: usize = 2;
+/// The id of a sender that the vehicle does not know.
+const UNKNOWN: u32 = 9;
 /// Frames of each kind that must be rejected.
 const EACH: usize = 25;
 /// Commands of each station before the reset, and again after it.
@@ -127,70 +130,45 @@ fn telemetry_and_commands(
 impl Vehicle {
     /// What an attacker sends to the vehicle.
     fn attacks(&mut self, sending: &mut Sending) -> Result<()> {
-        let replayed = self.last_accepted();
-        let [first, second] = &mut self.stations[..] else {
-            bail!("there are {STATIONS} stations");
-        };
-        let fresh = [first.commands(2 * EACH)?, second.commands(2 * EACH)?].concat();
-        let mut fresh = fresh.into_iter().map(|sealed| sealed.package);
-        let mut forged = |change| changed(fresh.by_ref().take(EACH), change);
-        let own = self
-            .sent
-            .iter()
-            .take(EACH)
-            .map(|sealed| sealed.package.clone());
-        let packages: [(&str, &'static str, Vec<Vec<u8>>); 9] = [
-            (
-                "message changed",
-                "bad tag",
-                forged(&|package| package[MESSAGE] ^= 1),
-            ),
-            (
-                "tag changed",
-                "bad tag",
-                forged(&|package| package[PACKAGE_SIZE - 1] ^= 1),
-            ),
-            (
-                "sender changed",
-                "bad tag",
-                forged(&|package| package[COUNTER - 1] ^= 3),
-            ),
-            (
-                "cut short",
-                "wrong length",
-                forged(&|package| package.truncate(PACKAGE_SIZE - 1)),
-            ),
-            (
-                "counter raised",
-                "bad tag",
-                changed(replayed.clone(), &|package| raise(package)),
-            ),
-            (
-                "another key",
-                "bad tag",
-                strange(self.stations[0].id, self.attacker.strange_key())?,
-            ),
-            (
-                "unknown sender",
-                "unknown sender",
-                strange(9, self.attacker.strange_key())?,
-            ),
-            (
-                "the vehicle's own, reflected",
-                "unknown sender",
-                own.collect(),
-            ),
-            ("replayed", "stale", replayed),
-        ];
-        for (name, because, packages) in packages {
-            ensure!(
-                packages.len() == EACH,
-                "{name}: {} packages",
-                packages.len()
-            );
+        let replayed = packages(self.last_accepted());
+        let mut fresh = self.stations[0].commands(2 * EACH)?;
+        fresh.extend(self.stations[1].commands(2 * EACH)?);
+        let other_key = strange(self.stations[0].id, self.attacker.strange_key())?;
+        let unknown = strange(UNKNOWN, self.attacker.strange_key())?;
+        let own = packages(&self.sent[..EACH]);
+        let raised = changed(&replayed, |package| raise(package));
+        let mut fresh = fresh.chunks(EACH).map(packages);
+        let mut forged = |change| changed(&fresh.next().unwrap_or_default(), change);
+
+        let mut reject = |name, because, packages: Vec<Vec<u8>>| {
+            ensure!(packages.len() == EACH, "{name}: {}", packages.len());
             let frames = packages.iter().map(|package| air_frame(package));
             sending.rejected(Link, name, because, frames.collect::<Result<Vec<_>>>()?);
-        }
+            Ok(())
+        };
+        reject(
+            "message changed",
+            "bad tag",
+            forged(|package| package[MESSAGE] ^= 1),
+        )?;
+        reject(
+            "tag changed",
+            "bad tag",
+            forged(|package| package[PACKAGE_SIZE - 1] ^= 1),
+        )?;
+        reject(
+            "sender changed",
+            "bad tag",
+            forged(|package| package[COUNTER - 1] ^= 3),
+        )?;
+        let cut = forged(|package| package.truncate(PACKAGE_SIZE - 1));
+        reject("cut short", "wrong length", cut)?;
+        reject("counter raised", "bad tag", raised)?;
+        reject("another key", "bad tag", other_key)?;
+        reject("unknown sender", "unknown sender", unknown)?;
+        reject("the vehicle's own, reflected", "unknown sender", own)?;
+        reject("replayed", "stale", replayed)?;
+
         // 101 bytes, one more than there may be.
         let too_long = [&[hx::FLAG, 0], &[1; 101][..], &[hx::FLAG]].concat();
         let empty = vec![hx::FLAG, 0, hx::FLAG];
@@ -207,24 +185,15 @@ impl Vehicle {
 
     /// What an attacker sends to a station.
     fn attacks_on_station(&mut self, sending: &mut Sending) -> Result<()> {
-        let sent = self
-            .sent
-            .iter()
-            .take(EACH)
-            .map(|sealed| sealed.package.clone());
-        let sent: Vec<_> = sent.collect();
+        let sent = packages(&self.sent[..EACH]);
         // Newer than anything.
-        let tampered = changed(sent.clone(), &|package| {
+        let tampered = changed(&sent, |package| {
             raise(package);
             package[MESSAGE] ^= 1;
         });
         let other_key = strange(self.id, self.attacker.strange_key())?;
         let station = &mut self.stations[0];
-        let own = station
-            .commands(EACH)?
-            .into_iter()
-            .map(|sealed| sealed.package);
-        let own: Vec<_> = own.collect();
+        let own = packages(&station.commands(EACH)?);
         sending.row(station.reject("replayed", &sent, "stale")?);
         sending.row(station.reject("message changed", &tampered, "bad tag")?);
         sending.row(station.reject("another key", &other_key, "bad tag")?);
@@ -234,17 +203,15 @@ impl Vehicle {
 
     /// Packages that were accepted before.
     fn replays(&mut self, sending: &mut Sending) -> Result<()> {
-        let replayed = self.last_accepted();
-        let frames = replayed.iter().map(|package| air_frame(package));
+        let replayed = self.last_accepted().iter();
+        let frames = replayed.map(|sealed| air_frame(&sealed.package));
         let frames = frames.collect::<Result<Vec<_>>>()?;
         sending.rejected(Link, "accepted before the reset", "stale", frames);
         Ok(())
     }
 
-    /// The packages that were accepted last.
-    fn last_accepted(&self) -> Vec<Vec<u8>> {
-        let last = self.accepted.iter().rev().take(EACH);
-        last.map(|sealed| sealed.package.clone()).collect()
+    fn last_accepted(&self) -> &[Sealed] {
+        &self.accepted[self.accepted.len().saturating_sub(EACH)..]
     }
 
     /// The stations open what has come out since they did before.
@@ -262,11 +229,12 @@ fn air_frame(package: &[u8]) -> Result<Vec<u8>> {
     frame_of(hx::FrameKind::AirData, package)
 }
 
-fn changed(
-    packages: impl IntoIterator<Item = Vec<u8>>,
-    change: &dyn Fn(&mut Vec<u8>),
-) -> Vec<Vec<u8>> {
-    let mut packages = Vec::from_iter(packages);
+fn packages(sealed: &[Sealed]) -> Vec<Vec<u8>> {
+    sealed.iter().map(|sealed| sealed.package.clone()).collect()
+}
+
+fn changed(packages: &[Vec<u8>], change: fn(&mut Vec<u8>)) -> Vec<Vec<u8>> {
+    let mut packages = packages.to_vec();
     packages.iter_mut().for_each(change);
     packages
 }
