@@ -13,7 +13,7 @@ use mavseal_proofs::cipher::{Specified, Verdict, nonce_of};
 use mavseal_proofs::link::{self, Step};
 use mavseal_proofs::packing::Kind;
 use mavseal_proofs::{framing, opening, packing, sealing};
-use mavseal_relay::sealed::RejectReason;
+use mavseal_relay::sealed::SealedRejectReason;
 use ring::aead::{AES_128_GCM, Aad, LessSafeKey, Nonce, UnboundKey};
 use std::error::Error as _;
 use std::time::Duration;
@@ -64,8 +64,8 @@ fn arrives<H: Specified>(input: &Arrival<'_>) {
     let mut opener = receiver::<H>(input.shared, lasts, limit);
     let verdict = opening::step(&mut opener, limit, input.shared, &package, right);
     // A relay has no packages with epochs.
-    let reason = verdict.err().map(RejectReason::from);
-    assert!(input.epochs || reason != Some(RejectReason::Other));
+    let reason = verdict.err().map(SealedRejectReason::from);
+    assert!(input.epochs || reason != Some(SealedRejectReason::Other));
 
     let opened = receiver::<H>(input.shared, lasts, u32::MAX).open(&package);
     if let Ok(opened) = opened {

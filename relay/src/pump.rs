@@ -17,15 +17,10 @@ pub(crate) struct Pump<T> {
 #[derive(Debug)]
 pub(crate) struct Lane {
     pub(crate) reader: PacketReader,
-    sending: Option<Sending>,
-    pub(crate) counters: Counters,
-}
-
-/// A frame of which `sent` bytes have left.
-#[derive(Debug)]
-struct Sending {
-    frame: Frame,
+    /// The frame that goes out, and how many of its bytes have left.
+    sending: Option<Frame>,
     sent: usize,
+    pub(crate) counters: Counters,
 }
 
 impl Lane {
@@ -33,17 +28,17 @@ impl Lane {
     pub(crate) fn pending(&self) -> &[u8] {
         let sending = self.sending.as_ref();
         sending
-            .and_then(|sending| sending.frame.as_bytes().get(sending.sent..))
+            .and_then(|frame| frame.as_bytes().get(self.sent..))
             .unwrap_or_default()
     }
 
     /// Takes note of `count` bytes that have left; whether the frame has left with them.
     pub(crate) fn sent(&mut self, count: usize) -> bool {
-        let Some(Sending { frame, sent }) = &mut self.sending else {
+        let Some(frame) = &self.sending else {
             return false;
         };
-        *sent = sent.saturating_add(count);
-        let left = *sent >= frame.as_bytes().len();
+        self.sent = self.sent.saturating_add(count);
+        let left = self.sent >= frame.as_bytes().len();
         if left {
             self.sending = None;
         }
@@ -75,6 +70,7 @@ impl<T: PacketHandler> Pump<T> {
             lane: Lane {
                 reader: PacketReader::new(T::RESYNC),
                 sending: None,
+                sent: 0,
                 counters: Counters::default(),
             },
             handler,
@@ -101,7 +97,7 @@ impl<T: PacketHandler> Pump<T> {
             return None;
         }
         while self.lane.sending.is_none() && self.process_next(keys, clock, observe) {}
-        FrameRef::parse(self.lane.sending.as_ref()?.frame.as_bytes()).ok()
+        FrameRef::parse(self.lane.sending.as_ref()?.as_bytes()).ok()
     }
 
     /// Looks at the next packet that has arrived; whether there was one.
@@ -112,26 +108,29 @@ impl<T: PacketHandler> Pump<T> {
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let Self { lane, handler } = self;
-        let decoded = lane.reader.read();
-        let processed = decoded.map(|decoded| match decoded {
-            Ok(packet) => {
-                let processed = handler.process(packet, keys, clock);
-                processed
-                    .map_err(|rejection| (rejection, Some(RejectedPacket::new(&packet, rejection))))
-            }
-            Err(error) => Err((error.into(), None)),
-        });
+        let processed = match lane.reader.read() {
+            None => Ok(None),
+            Some(Err(error)) => Err((error.into(), None)),
+            Some(Ok(packet)) => match handler.process(packet, keys, clock) {
+                // Straight to its place: a frame takes 280 bytes of stack.
+                Ok((frame, event)) => {
+                    lane.sending = Some(frame);
+                    lane.sent = 0;
+                    Ok(Some(event))
+                }
+                Err(reason) => Err((reason, Some(RejectedPacket::new(&packet, reason)))),
+            },
+        };
         lane.counters.set_dropped(lane.reader.dropped());
         match processed {
-            None => return false,
-            Some(Ok((frame, event))) => {
-                lane.sending = Some(Sending { frame, sent: 0 });
+            Ok(None) => return false,
+            Ok(Some(event)) => {
                 lane.counters.count_passed(event);
                 observe(event);
             }
-            Some(Err((rejection, rejected))) => {
-                lane.counters.count_rejected(rejection, rejected);
-                observe(Event::Rejected(T::DIRECTION, rejection));
+            Err((reason, packet)) => {
+                lane.counters.count_rejected(reason, packet);
+                observe(Event::Rejected(T::DIRECTION, reason));
             }
         }
         true

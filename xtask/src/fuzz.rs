@@ -104,10 +104,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
             let mut shell = Command::new("sh");
             shell.current_dir(root()).args(["-ec", COVERAGE]);
             shell.env("TARGETS", targets(&root(), only)?.join(" "));
-            ensure!(
-                shell.status()?.success(),
-                "what a target said is in target/coverage.log"
-            );
+            ensure!(shell.status()?.success(), "see target/coverage.log");
             Ok(())
         }
         Action::Campaign => {
@@ -161,12 +158,7 @@ fn all(tree: &Path, options: &Options, seconds: u64, sources: Option<&Sources>) 
     let failed = Mutex::new(Vec::new());
     share(options.jobs, targets, |_, target| {
         let run = one(tree, &target, "corpus", seconds)?;
-        let Run {
-            executions,
-            edges,
-            finding,
-            ..
-        } = &run;
+        let (executions, edges, finding) = (run.executions, run.edges, &run.finding);
         println!("{target}: {executions} executions, {edges} edges {finding}");
         if let Some(sources) = sources {
             sources.record("campaign", &target, &run)?;

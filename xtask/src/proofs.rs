@@ -66,10 +66,7 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let (harnesses, ids) = (kani::list(&tree)?, ids(&tree)?);
     let with: BTreeSet<_> = harnesses.keys().map(|name| id_of(name)).collect();
     let wrong: Vec<_> = with.symmetric_difference(&ids).collect();
-    ensure!(
-        wrong.is_empty(),
-        "harness without property in verification.md, or the reverse: {wrong:?}"
-    );
+    ensure!(wrong.is_empty(), "not both a harness and a row: {wrong:?}");
 
     let mut chosen = harnesses;
     chosen.retain(|name, _| {
@@ -86,52 +83,39 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 fn prove(sources: &Sources, harnesses: BTreeMap<String, String>, jobs: usize) -> Result<()> {
     let of = harnesses.len();
     let proofs = Mutex::new(BTreeMap::new());
-    share(
-        jobs.min(of),
-        harnesses.into_iter().collect(),
-        |worker, (name, path)| {
-            let log = sources.results.join(format!("logs/{name}.log"));
-            let proof = kani::prove(&sources.worktree(worker)?, &path, &log)?;
-            sources.record(RESULTS, &name, &proof)?;
-            let mut proofs = lock(&proofs);
-            println!(
-                "[{}/{of}] {name}: {:?} {}",
-                proofs.len() + 1,
-                proof.verdict,
-                proof.reason
-            );
-            proofs.insert(name, proof);
-            Ok(())
-        },
-    )?;
+    let one = |worker, (name, path): (String, String)| {
+        let log = sources.results.join(format!("logs/{name}.log"));
+        let proof = kani::prove(&sources.worktree(worker)?, &path, &log)?;
+        sources.record(RESULTS, &name, &proof)?;
+        let mut proofs = lock(&proofs);
+        println!("[{}/{of}] {}", proofs.len() + 1, row(&name, &proof));
+        proofs.insert(name, proof);
+        Ok(())
+    };
+    share(jobs.min(of), harnesses.into_iter().collect(), one)?;
     let proofs = lock(&proofs);
     println!("{}", table(&proofs));
     let failed = proofs.iter().filter(|(_, proof)| !proof.verified());
-    let failed: Vec<_> = failed.map(|(name, _)| name.as_str()).collect();
-    ensure!(failed.is_empty(), "not verified: {}", failed.join(", "));
+    let failed: Vec<_> = failed.map(|(name, _)| name).collect();
+    ensure!(failed.is_empty(), "not verified: {failed:?}");
     Ok(())
 }
 
 /// A table of `proofs`, in Markdown.
 pub(crate) fn table(proofs: &BTreeMap<String, Proof>) -> String {
     let head = "| harness | verdict | covers | checks | solver | time | memory |";
-    let row = |(name, proof): (&String, &Proof)| {
-        let Proof {
-            verdict,
-            reason,
-            covers: [n, of],
-            checks,
-            solver,
-            seconds,
-            memory_mb,
-            ..
-        } = proof;
-        format!(
-            "| `{name}` | {verdict:?} {reason} | {n}/{of} | {checks} | {solver} | {seconds:.1} s | {memory_mb} MB |"
-        )
-    };
-    let rows: Vec<_> = proofs.iter().map(row).collect();
+    let rows: Vec<_> = proofs
+        .iter()
+        .map(|(name, proof)| row(name, proof))
+        .collect();
     format!("{head}\n|---|---|---|---|---|---|---|\n{}", rows.join("\n"))
+}
+
+fn row(name: &str, proof: &Proof) -> String {
+    let ([n, of], checks, solver) = (proof.covers, proof.checks, &proof.solver);
+    let verdict = format!("{:?} {}", proof.verdict, proof.reason);
+    let took = format!("{:.1} s | {} MB", proof.seconds, proof.memory_mb);
+    format!("| `{name}` | {verdict} | {n}/{of} | {checks} | {solver} | {took} |")
 }
 
 /// The ids of the properties: the first cells in the table of verification.md.

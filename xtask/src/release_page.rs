@@ -1,6 +1,10 @@
 //! `cargo xtask release-page`: verification/vX.Y.Z.md, from what runs on one commit have left.
 
-use std::{collections::BTreeMap, fmt::Write as _, fs};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt::Write as _,
+    fs,
+};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
@@ -8,7 +12,7 @@ use xshell::{Shell, cmd};
 
 use crate::{
     fuzz::Run,
-    mutants::Outcome,
+    mutants::{Mutant, Outcome},
     proofs::{self, kani, kani::Proof},
     setup::root,
     sources::{Sources, text},
@@ -35,62 +39,47 @@ pub(crate) fn run(Options { version }: &Options) -> Result<()> {
     let path = root().join(&name);
     ensure!(!path.exists(), "{name} is not changed after its release");
     let sources = Sources::now()?;
-    ensure!(
-        sources.committed,
-        "the page is about a commit: commit first"
-    );
+    ensure!(sources.committed, "the page is of a commit: commit first");
+    let missing = |what| format!("not run on this commit: cargo xtask {what}");
     let proofs: BTreeMap<String, Proof> = sources.read(proofs::RESULTS)?;
-    for harness in kani::list(&sources.worktree(0)?)?.keys() {
-        ensure!(
-            proofs.contains_key(harness),
-            "{harness} was not run: cargo xtask proofs"
-        );
-    }
+    let tree = sources.worktree(0)?;
+    let run = |harness| proofs.contains_key(harness);
+    ensure!(kani::list(&tree)?.keys().all(run), missing("proofs"));
     let campaign: BTreeMap<String, Run> = sources.read("campaign")?;
-    ensure!(
-        !campaign.is_empty(),
-        "there was no campaign: cargo xtask fuzz campaign"
-    );
+    ensure!(!campaign.is_empty(), missing("fuzz campaign"));
     let sh = Shell::new()?;
     let machine = cmd!(sh, "sh -c {MACHINE}").quiet().read()?;
     let verified = proofs.values().filter(|proof| proof.verified()).count();
     let covers = |which: usize| -> usize { proofs.values().map(|it| it.covers[which]).sum() };
     let executions: u64 = campaign.values().map(|run| run.executions).sum();
     let seconds: u64 = campaign.values().map(|run| run.seconds).sum();
-    let first = proofs.values().next().context("no proof")?;
-    let dates = proofs.values().map(|proof| &proof.date);
-    let (from, to) = (dates.clone().min(), dates.max());
+    let tools: BTreeSet<_> = proofs.values().map(|proof| &*proof.tools).collect();
+    let dates: BTreeSet<_> = proofs.values().map(|proof| &*proof.date).collect();
+    let [tools, dates] = [tools, dates].map(|all| Vec::from_iter(all).join(", "));
+    let machine = machine.replace('\n', ", ");
+    let (harnesses, targets, commit) = (proofs.len(), campaign.len(), &sources.commit);
 
     let mut page = format!(
         "# Results of version {version}\n\n\
          Made by `cargo xtask release-page {version}`, and not changed since. What has changed in the code:\n\
          `git diff --stat v{version} -- mavlink commsec store relay proofs`.\n\n\
          | | |\n|---|---|\n\
-         | commit | `{}` |\n| tools and machine | {}; {} |\n| date | {} to {} |\n\
-         | proofs | {verified} of {} harnesses verified, {} of {} covers satisfied |\n\
-         | campaign | {executions} executions of {} targets in {seconds} s of targets |\n",
-        sources.commit,
-        first.tools,
-        machine.replace('\n', ", "),
-        from.context("no date")?,
-        to.context("no date")?,
-        proofs.len(),
+         | commit | `{commit}` |\n| tools | {tools}; {machine} |\n| dates | {dates} |\n\
+         | proofs | {verified} of {harnesses} harnesses verified, {} of {} covers satisfied |\n\
+         | campaign | {executions} executions of {targets} targets in {seconds} s of targets |\n",
         covers(0),
         covers(1),
-        campaign.len(),
     );
     let mut missed = String::new();
     for command in ["proofs --mutants", "fuzz mutants"] {
         let results = command.replace(" --", "-").replace(' ', "-");
         let outcomes: BTreeMap<String, BTreeMap<String, Outcome>> = sources.read(&results)?;
-        ensure!(
-            !outcomes.is_empty(),
-            "no mutant was tried: cargo xtask {command}"
-        );
+        ensure!(!outcomes.is_empty(), missing(command));
+        let all = Mutant::load(&tree, &[])?.len();
+        let tried = outcomes.len();
         writeln!(
             page,
-            "| `{command}` | {} mutants and controls |",
-            outcomes.len()
+            "| `{command}` | {tried} of {all} mutants and controls |"
         )?;
         for (name, by) in outcomes {
             let wrong = by.iter().filter(|(_, what)| **what != Outcome::Caught);
@@ -98,20 +87,18 @@ pub(crate) fn run(Options { version }: &Options) -> Result<()> {
         }
     }
     for results in ["cores", "tables"] {
-        let file = |kind| {
-            text(
-                &sources.results,
-                &format!("{results}/mutants.out/{kind}.txt"),
-            )
-        };
+        let folder = sources.results.join(results).join("mutants.out");
+        let file = |kind| text(&folder, kind).context(missing("test --all"));
         let count = |kind| anyhow::Ok(file(kind)?.lines().count());
-        let [caught, timeout] = [count("caught")?, count("timeout")?];
-        writeln!(
-            page,
-            "| `cargo mutants`, {results} | {caught} caught, {timeout} by tests that do not end, {} missed |",
-            count("missed")?,
-        )?;
-        missed.extend(file("missed")?.lines().map(|name| format!("* {name}\n")));
+        let [caught, loops, left] = ["caught.txt", "timeout.txt", "missed.txt"].map(count);
+        let (caught, loops, left) = (caught?, loops?, left?);
+        let counts = format!("{caught} caught, {loops} by tests that do not end, {left} missed");
+        writeln!(page, "| `cargo mutants`, {results} | {counts} |")?;
+        missed.extend(
+            file("missed.txt")?
+                .lines()
+                .map(|name| format!("* {name}\n")),
+        );
     }
     let found = campaign.iter().filter(|(_, run)| !run.finding.is_empty());
     missed.extend(found.map(|(target, _)| format!("* `{target}` failed in the campaign\n")));

@@ -4,7 +4,7 @@ use std::{
     collections::BTreeMap,
     fs::{self, File},
     path::Path,
-    process::{Command, Stdio},
+    process::Command,
     thread,
     time::Duration,
 };
@@ -82,11 +82,9 @@ pub(crate) fn list(tree: &Path) -> Result<BTreeMap<String, String>> {
     fs::create_dir_all(&folder)?;
     let mut list = kani();
     list.current_dir(&folder).env("CARGO_TARGET_DIR", &folder);
-    list.arg("--manifest-path")
-        .arg(tree.join("proofs/Cargo.toml"));
-    let output = list
-        .args(["list", "--format", "json", "-Z", "stubbing"])
-        .output()?;
+    list.args(["--manifest-path", "../../proofs/Cargo.toml", "list"]);
+    list.args(["--format", "json", "-Z", "stubbing"]);
+    let output = list.output()?;
     let said = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "cargo kani list: {said}");
     let list: serde_json::Value = serde_json::from_str(&text(&folder, "kani-list.json")?)?;
@@ -111,25 +109,18 @@ pub(crate) fn prove(tree: &Path, path: &str, log: &Path) -> Result<Proof> {
     let mut command = kani();
     command
         .current_dir(tree)
-        .args(["--exact", "--harness", path]);
-    command.arg("--target-dir").arg(tree.join("target/kani"));
-    command
-        .stdin(Stdio::null())
-        .stdout(file.try_clone()?)
-        .stderr(file);
-    let mut child = command.spawn()?;
+        .arg("--target-dir")
+        .arg(tree.join("target/kani"));
+    command.args(["--exact", "--harness", path]);
+    let mut child = command.stdout(file.try_clone()?).stderr(file).spawn()?;
     let mut peak = 0;
     while child.try_wait()?.is_none() {
-        let output = Command::new("ps")
-            .args(["-e", "-o", "pid=,rss=,args="])
-            .output()?;
+        let mut ps = Command::new("ps");
+        let output = ps.args(["-e", "-o", "pid=,rss=,args="]).output()?;
         for line in String::from_utf8_lossy(&output.stdout).lines() {
             let mut words = line.split_whitespace();
-            let (Some(id), Some(rss), Some("cbmc")) = (words.next(), words.next(), words.next())
-            else {
-                continue;
-            };
-            if line.contains(&*tree.to_string_lossy()) {
+            let [id, rss, program] = [(); 3].map(|()| words.next().unwrap_or_default());
+            if program == "cbmc" && line.contains(&*tree.to_string_lossy()) {
                 peak = peak.max(rss.parse::<u64>()? * 1024 / 1_000_000);
                 if peak > MEMORY_MB {
                     Command::new("kill").args(["-KILL", id]).status()?;
