@@ -370,6 +370,21 @@ mod tests {
         }
     }
 
+    /// A place that no sender uses: nothing comes out, however new it is.
+    #[test]
+    fn o2_never_used() {
+        fn none<H: Specified>(epoch: u16, counter: u32) {
+            let header = H::write(H::id(5), H::place_of(epoch, counter));
+            let mut package = [7; PACKAGE_SIZE];
+            package[..HEADER_SIZE].copy_from_slice(&header);
+            let out = comes_out::<H>(1, H::place_of(0, 0), Verdict::Right, &package, 0);
+            assert!(!out);
+        }
+        none::<PackageHeader>(0, u32::MAX);
+        none::<EpochHeader>(u16::MAX, 1);
+        none::<EpochHeader>(1, u32::MAX);
+    }
+
     #[test]
     fn o2_edges() {
         let package = std::array::from_fn(|at| at as u8);
