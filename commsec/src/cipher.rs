@@ -10,16 +10,16 @@ use zeroize::ZeroizeOnDrop;
 
 use crate::field::{KEY_SIZE, NONCE_SIZE, PLAINTEXT_SIZE, TAG_SIZE};
 
-/// What a package holds when it is open: 80 bytes, whole MAVLink packets and zeros behind them.
+/// What a package holds when it is open: 80 bytes, whole MAVLink packets and zeros after them.
 pub type Plaintext = [u8; PLAINTEXT_SIZE];
 
-/// What a package is sealed under and no other: salt, sender id and counter, 12 bytes.
+/// What one package alone is sealed with: salt, sender id and counter, 12 bytes.
 pub type Nonce = [u8; NONCE_SIZE];
 
 /// The first 8 of the 16 bytes of the cipher's tag.
 pub type PackageTag = [u8; TAG_SIZE];
 
-/// The cipher did not do it: a tag is wrong, or a hardware unit failed.
+/// The cipher failed: a tag is wrong, or a hardware unit failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CipherError;
@@ -34,8 +34,8 @@ impl core::error::Error for CipherError {}
 
 /// AES-128-GCM with one key, no associated data, and tags cut to 8 bytes.
 ///
-/// A value holds what is prepared once from the key, and must not show it. It wipes itself when
-/// dropped, which [`ZeroizeOnDrop`] promises. A part with an AES unit puts its own behind this trait.
+/// A value holds what is prepared once from the key, and must not show it. It wipes itself when dropped,
+/// which [`ZeroizeOnDrop`] promises. A part with an AES unit implements this trait.
 pub trait Cipher: ZeroizeOnDrop {
     /// Prepares `key` for use.
     fn new(key: &[u8; KEY_SIZE]) -> Self;
@@ -44,16 +44,15 @@ pub trait Cipher: ZeroizeOnDrop {
     ///
     /// # Errors
     ///
-    /// A hardware unit failed; what is left in `message` must not be sent.
+    /// A hardware unit failed. What is left in `message` must not be sent.
     fn seal(&self, nonce: &Nonce, message: &mut Plaintext) -> Result<PackageTag, CipherError>;
 
-    /// Decrypts `message` in place, if `tag` is its tag: all 8 bytes, compared in a time that does not tell
-    /// where they differ.
+    /// Decrypts `message` in place, if `tag` is its tag: all 8 bytes, compared in constant time.
     ///
     /// # Errors
     ///
-    /// It is not, or a hardware unit failed, which counts as a wrong tag; what is left in `message` must not
-    /// be used.
+    /// The tag is wrong, or a hardware unit failed, which counts as a wrong tag. What is left in `message`
+    /// must not be used.
     fn open(
         &self,
         nonce: &Nonce,
@@ -64,8 +63,8 @@ pub trait Cipher: ZeroizeOnDrop {
 
 /// AES-128-GCM (NIST SP 800-38D) in software, with a 96-bit nonce and a 64-bit tag.
 ///
-/// The tag is compared in constant time and before anything is decrypted. Neither AES nor GHASH looks
-/// up tables by secrets; where the processor multiplies in constant time, so do they.
+/// The tag is compared in constant time and before anything is decrypted. Neither AES nor GHASH looks up
+/// tables by secrets. Both take constant time where the processor multiplies in constant time.
 pub struct AesGcm(aes_gcm::AesGcm<Aes128, U12, U8>);
 
 // The one field wipes itself.
@@ -97,7 +96,7 @@ impl Cipher for AesGcm {
     }
 }
 
-/// The promise of [`ZeroizeOnDrop`], held against what the cipher is made of.
+/// The compiler checks the promise of [`ZeroizeOnDrop`] for what the cipher is made of.
 const _: () = {
     const fn wipes_itself<T: ZeroizeOnDrop>() {}
     wipes_itself::<aes_gcm::AesGcm<Aes128, U12, U8>>();

@@ -5,8 +5,8 @@ use core::fmt;
 use crate::field::PACKAGE_SIZE;
 use crate::sender::{EpochCounter, SenderId};
 
-/// Why a received package is rejected. The receiver remembers nothing of it but, for
-/// [`BadTag`](Self::BadTag), that one more was rejected.
+/// Why a received package is rejected. The receiver remembers nothing of it, except that it counts a
+/// [`BadTag`](Self::BadTag).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -15,24 +15,24 @@ pub enum OpenError {
     WrongLength(usize),
     /// Nobody has permitted this sender.
     UnknownSender(SenderId),
-    /// A counter, or an epoch, of ones only, which no sender uses: nothing would be newer.
+    /// A counter, or an epoch, whose bits are all ones. No sender uses it: nothing would be newer.
     NoCounter(SenderId),
-    /// Not newer than the last package accepted of its sender: a replay, a duplicate, reordered, or a
-    /// sender that has started to count anew. Whoever sent it need not have the key.
+    /// Not newer than the last package accepted from its sender: a replay, a duplicate, reordered, or a
+    /// sender that counts from the beginning again. Anybody can send one without the key.
     Stale {
         /// The counter that the package claims.
         counter: u32,
-        /// The counter of the last package accepted of that sender.
+        /// The counter of the last package accepted from that sender.
         last: u32,
     },
     /// The same of a package with an epoch.
     StaleInEpoch {
         /// Epoch and counter that the package claims.
         sequence: EpochCounter,
-        /// Those of the last package accepted of that sender.
+        /// Those of the last package accepted from that sender.
         last: EpochCounter,
     },
-    /// So many packages with a wrong tag have come that no further one is tried before the next start.
+    /// Too many packages with a wrong tag have come. No further one is tried before the next start.
     IntegrityLimitReached,
     /// Another key or salt, damage on the way, or a forgery.
     BadTag,

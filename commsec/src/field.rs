@@ -5,7 +5,7 @@
 //!     4     |    4    |       80       |  8
 //! ```
 //!
-//! The seed's "GCS Communication Security". Integers are big-endian, unlike MAVLink's.
+//! SMACCMPilot, "GCS Communication Security". Integers are big-endian, unlike MAVLink's.
 
 /// Bytes of a sender's id.
 pub const SENDER_ID_SIZE: usize = 4;

@@ -1,4 +1,4 @@
-//! The header of a package, in two formats: who sealed it, and when in his order.
+//! The header of a package, in two formats: who sealed it, and where in the sender's order.
 
 use core::fmt;
 
@@ -12,7 +12,7 @@ use crate::sender::{EpochCounter, EpochSenderId, SenderId};
 pub struct PackageHeader {
     /// Who sealed it.
     pub sender: SenderId,
-    /// Its place among everything that this sender seals: 1 to 2^32 - 2.
+    /// Its number among everything that this sender seals: 1 to 2^32 - 2.
     pub counter: u32,
 }
 
@@ -36,21 +36,21 @@ impl PackageHeader {
     }
 }
 
-/// The header of SMACCMPilot's draft "commsec re-do", which nothing of theirs ever sent: one 16-bit
-/// number for each time that the sender was switched on.
+/// The header of SMACCMPilot's draft "commsec re-do", which their software never sent. It has a 16-bit
+/// number for each start of the sender.
 ///
 /// ```text
 /// counter | epoch | sender id
 ///    4    |   2   |     2        big-endian
 /// ```
 ///
-/// A sender stores once at each start, not again and again while it counts. Receivers of the old
-/// format take its counter for a sender that they mostly do not know. If they do, and key and salt are the
-/// same, it is one of that sender: each key is for one header alone.
+/// A sender stores once at each start, not again and again while it counts. A receiver of the other format
+/// reads the counter as a sender, which it mostly does not know. If it does, and key and salt are the same,
+/// it is a package of that sender. So each key must have one header alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochHeader {
-    /// Its place among everything that this sender seals.
+    /// Epoch and counter: its place among everything that this sender seals.
     pub sequence: EpochCounter,
     /// Who sealed it.
     pub sender: EpochSenderId,
@@ -88,37 +88,37 @@ mod sealed {
     impl Sealed for super::EpochSenderId {}
 }
 
-/// The two headers there are, [`PackageHeader`] and [`EpochHeader`]. Both are 8 bytes of the nonce, so that a key
-/// belongs to one of them.
+/// The two headers there are, [`PackageHeader`] and [`EpochHeader`]. Both are 8 bytes of the nonce, so a
+/// key belongs to one of them.
 pub trait HeaderFormat: Copy + Eq + fmt::Debug + sealed::Sealed {
     /// Who sealed a package.
     type Id: Sender<PackageHeader = Self>;
-    /// A package's place among everything that its sender seals: later ones are greater.
+    /// A package's sequence number among everything that its sender seals: later ones are greater.
     type Sequence: Copy + Ord + fmt::Debug;
-    /// Before the first place of all.
+    /// Below the first sequence number of all.
     const ZERO: Self::Sequence;
 
     /// The header of a package.
     fn new(sender: Self::Id, sequence: Self::Sequence) -> Self;
     /// Who sealed it.
     fn sender(self) -> Self::Id;
-    /// Its place.
+    /// Its sequence number.
     fn sequence(self) -> Self::Sequence;
-    /// The counter in a place.
+    /// The counter in a sequence number.
     fn counter(sequence: Self::Sequence) -> u32;
-    /// The place with the next counter.
+    /// The sequence number with the next counter.
     fn next(sequence: Self::Sequence) -> Self::Sequence;
     /// The header in its 8 bytes on the wire.
     fn from_wire(wire: &[u8; HEADER_SIZE]) -> Self;
     /// Its 8 bytes on the wire.
     fn to_wire(self) -> [u8; HEADER_SIZE];
-    /// Whether its place is behind all that a sender uses.
+    /// Whether its sequence number is above all that a sender uses.
     fn is_exhausted(self) -> bool;
-    /// That its place is not after `last`.
+    /// The error that its sequence number is not above `last`.
     fn stale(self, last: Self::Sequence) -> OpenError;
 }
 
-/// An id, whose type says which header it stands in.
+/// An id, whose type says which header it belongs to.
 pub trait Sender: Copy + Eq + fmt::Debug + Into<SenderId> + sealed::Sealed {
     /// That header.
     type PackageHeader: HeaderFormat<Id = Self>;

@@ -1,19 +1,18 @@
 //! The framing between a radio and what is plugged into it: `hx`, named after hxstream.
 //!
 //! ```text
-//! 0x7E | tag | payload, 0x7E and 0x7C in it escaped | 0x7E
+//! 0x7E | kind| payload, 0x7E and 0x7C in it escaped | 0x7E
 //!   1  |  1  |              1 to 200                |   1
 //! ```
 //!
-//! The seed's "GCS Communication Security", framing protocol. An escaped byte is 0x7C and the byte with
-//! bit 0x20 turned over. The tag is never escaped.
+//! SMACCMPilot, "GCS Communication Security", framing protocol. An escaped byte is 0x7C and the byte with
+//! bit 0x20 inverted. The kind is never escaped.
 //!
-//! **What it does not do.** It marks where frames begin and end and nothing else: no checksum, no
-//! length, no sequence number, no acknowledgement, no flow control. A byte that was damaged is
-//! delivered damaged, a byte that was lost is missing without notice, and a boundary that was lost
-//! makes two frames one. Anybody on the line can make frames, with any tag. Whether a frame means
-//! anything is for what it carries to say: a package says so with its tag. Several byte strings decode
-//! to one frame, since any byte may come escaped.
+//! **What it does not do.** It marks where frames begin and end, and nothing else. It has no checksum,
+//! length, sequence number, acknowledgement or flow control. A damaged byte is delivered damaged, and a
+//! lost byte is missing without notice. A lost flag makes two frames one. Anybody on the line can make
+//! frames of any kind. Only the contents can show that a frame means anything: a package does with its tag.
+//! Several byte strings decode to one frame, since any byte may come escaped.
 
 use core::{fmt, slice};
 
@@ -26,11 +25,11 @@ use crate::package::Package;
 pub const FLAG: u8 = 0x7E;
 /// The byte in front of an escaped one. Not HDLC's, which is 0x7D.
 pub const ESCAPE: u8 = 0x7C;
-/// The bit that is turned over in an escaped byte.
+/// The bit that is inverted in an escaped byte.
 pub const ESCAPE_BIT: u8 = 0x20;
 /// Most bytes of payload: 100, which is what SMACCMPilot's radio takes. A package has 96.
 pub const MAX_PAYLOAD_SIZE: usize = 100;
-/// Most bytes of a frame on the line, boundaries included: 203. A package takes 99 to 195.
+/// Most bytes of a frame on the line, flags included: 203. A package takes 99 to 195.
 pub const MAX_ENCODED_SIZE: usize = 2 * MAX_PAYLOAD_SIZE + 3;
 
 const _: () = assert!(PACKAGE_SIZE <= MAX_PAYLOAD_SIZE);
@@ -64,8 +63,8 @@ impl FrameKind {
     }
 }
 
-/// A frame: a tag, and 1 to 100 bytes. Never an empty one: SMACCMPilot's radio never sends anything
-/// again once it has been handed an empty frame of air data.
+/// A frame: its kind, and 1 to 100 bytes. It is never empty: after an empty frame of air data,
+/// SMACCMPilot's radio never sends anything again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frame<'a> {
     kind: FrameKind,
@@ -73,7 +72,7 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// A frame of any content. Nothing sees to it that air data is sealed: to send a package, make the frame
+    /// A frame of any content. Nothing checks that air data is sealed: to send a package, make the frame
     /// [`from`](Self::from) it.
     ///
     /// # Errors
@@ -99,7 +98,7 @@ impl<'a> Frame<'a> {
         self.payload
     }
 
-    /// Its bytes on the line, with a boundary at both ends.
+    /// Its bytes on the line, with a flag at both ends.
     #[must_use]
     pub fn encode(&self) -> Encode<'a> {
         Encode {
@@ -163,9 +162,9 @@ impl core::iter::FusedIterator for Encode<'_> {}
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 enum State {
-    /// Before a boundary: nothing is known.
+    /// Before a flag: nothing is known.
     Idle,
-    /// Behind a boundary.
+    /// After a flag.
     FrameKind,
     /// Within a payload.
     Payload(FrameKind),
@@ -175,10 +174,9 @@ enum State {
 
 /// Finds frames in a stream of bytes, one byte at a time.
 ///
-/// Holds at most the 100 bytes of one payload. A boundary ends whatever there was, so that from any
-/// state, after any bytes, the next whole frame is found. A boundary may be shared by two frames, and
-/// there may be several between them. A frame without a boundary behind it waits for the next byte that
-/// is one.
+/// Holds at most the 100 bytes of one payload. A flag ends whatever there was, so that from any state,
+/// after any bytes, the next whole frame is found. Two frames may share a flag, and there may be several
+/// between them. A frame without a flag after it waits for the next byte that is one.
 ///
 /// ```
 /// use mavlink_commsec::hx::{Decoder, Frame, FrameKind};
@@ -202,7 +200,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder that waits for a boundary.
+    /// A decoder that waits for a flag.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -211,13 +209,13 @@ impl Decoder {
         }
     }
 
-    /// Takes the next byte; gives the frame that it ends, or why that is dropped.
+    /// Takes the next byte. Returns the frame that it ends, or why that is dropped.
     ///
     /// # Errors
     ///
-    /// [`DecodeError::Empty`] and [`DecodeError::TruncatedEscape`] with the boundary that ends such a frame;
-    /// [`DecodeError::UnknownKind`] and [`DecodeError::TooLong`] with the byte that is wrong, once: what
-    /// follows up to the next boundary is passed over.
+    /// [`DecodeError::Empty`] and [`DecodeError::TruncatedEscape`] with the flag that ends such a frame.
+    /// [`DecodeError::UnknownKind`] and [`DecodeError::TooLong`] with the byte that is wrong, once. What
+    /// follows up to the next flag is passed over.
     pub fn push(&mut self, byte: u8) -> Option<Result<Frame<'_>, DecodeError>> {
         match (self.state, byte) {
             (State::Idle | State::FrameKind, FLAG) => {
@@ -297,7 +295,7 @@ impl Default for Decoder {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum FrameError {
-    /// There are none; SMACCMPilot's radio never recovers from an empty frame.
+    /// There are none. SMACCMPilot's radio never recovers from an empty frame.
     Empty,
     /// More than 100: this many.
     TooLong(usize),
@@ -323,7 +321,7 @@ impl core::error::Error for FrameError {}
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// It has a tag and nothing behind it.
+    /// It has a kind and nothing after it.
     Empty,
     /// More than 100 bytes.
     TooLong,
@@ -339,7 +337,7 @@ impl fmt::Display for DecodeError {
             Self::Empty => f.write_str("an empty frame"),
             Self::TooLong => write!(f, "a frame of more than {MAX_PAYLOAD_SIZE} bytes"),
             Self::TruncatedEscape => f.write_str("a frame that ends in an escape"),
-            Self::UnknownKind(tag) => write!(f, "a frame with the unknown tag {tag:#04X}"),
+            Self::UnknownKind(kind) => write!(f, "a frame of the unknown kind {kind:#04X}"),
         }
     }
 }

@@ -12,12 +12,12 @@ use crate::sender::SenderId;
 
 /// A key and its salt, prepared for use.
 ///
-/// It is a key for packages with the header `H`, and for no others: under one key, the two formats
-/// would use nonces twice. Nothing here can see that the same 16 bytes are made a key of the other
-/// format too; the key file has one header for all its keys.
+/// It is a key for packages with the header `H`, and for no others: under one key, the two formats would
+/// use nonces twice. Nothing here can see that the same 16 bytes are also made a key of the other format. A
+/// key file has one header for all its keys.
 ///
-/// There is no way to read them back, [`Debug`] does not show them, and they are not copied. Their
-/// memory is wiped when they are dropped; what their preparation leaves on the stack is not.
+/// There is no way to read them back, [`Debug`] does not show them, and they are not copied. Their memory
+/// is wiped when they are dropped. What their preparation leaves on the stack is not.
 pub struct SealingKey<C = AesGcm, H = PackageHeader> {
     cipher: C,
     salt: Zeroizing<[u8; SALT_SIZE]>,
@@ -87,8 +87,8 @@ impl<C, H> fmt::Debug for SealingKey<C, H> {
 ///
 /// The type of the id says which header the packages have.
 ///
-/// [`Debug`] shows the id alone. It lies in the image, so nothing wipes it: whoever reads the image has
-/// the key.
+/// [`Debug`] shows the id alone. It lies in the image, so nothing wipes it. Anybody who can read the image
+/// has the key.
 pub struct Credential<I = SenderId> {
     /// Who seals with the key.
     pub id: I,
@@ -100,7 +100,7 @@ pub struct Credential<I = SenderId> {
 
 impl<I: Sender> Credential<I> {
     /// The key, prepared for use: once for one [`Sealer`](crate::Sealer) of the whole device, however many
-    /// lines it has. Two of one credential would use every nonce twice, and no type can see it.
+    /// lines it has. Two sealers of one credential would use every nonce twice, and no type can see it.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Opening: who may seal, in which order, and the message once the tag has been found right.
+//! Opening: who may seal, in which order, and the message once its tag is verified.
 
 use core::fmt;
 
@@ -13,24 +13,25 @@ use crate::pack::Packets;
 use crate::package::Parts;
 use crate::sender::SenderId;
 
-/// How many wrong tags a key survives within a run, unless [`Opener::with_limit`] says otherwise: 2^24. The
-/// count is kept in memory, and is 0 again after a restart.
+/// How many wrong tags a key survives within a run, unless [`Opener::with_limit`] says otherwise: 2^24. RFC
+/// 9001 calls this the integrity limit. The count is kept in memory, and is 0 again after a restart.
 ///
-/// One forged package passes with at most 6 chances in 2^64: the tag has 64 bits, and what is
-/// authenticated is a polynomial of degree 6 in the hash key, 5 blocks of message and one of lengths.
-/// 2^24 of them pass with fewer than one chance in 2^37. Each that passes would tell of the hash key and
-/// make the next easier, which is why NIST SP 800-38D, appendix C, asks for a bound with tags so short.
+/// One forged package passes with at most 6 chances in 2^64. The tag has 64 bits. What is authenticated is
+/// a polynomial of degree 6 in the hash key: 5 blocks of message and one of lengths. 2^24 of them pass with
+/// fewer than one chance in 2^37. Each that passes would tell of the hash key and make the next easier.
+/// That is why NIST SP 800-38D, appendix C, asks for a bound with such short tags.
 ///
-/// It is also how somebody without a key ends a link until the restart: three days at 57,600 baud, which carry
-/// 58 packages a second, but minutes on a fast network if the processor keeps up. There choose between a
-/// greater limit and a shorter life of keys; [`Opener::failed_opens`] tells long before.
+/// It also lets an attacker without a key end a link until the restart. That takes three days at 57,600
+/// baud, which carry 58 packages a second. On a fast network it takes minutes, if the processor keeps up.
+/// There choose between a greater limit and a shorter life of keys. [`Opener::failed_opens`] tells long
+/// before.
 pub const INTEGRITY_LIMIT: u32 = 1 << 24;
 
-/// A package that was sealed with the key of a permitted sender, and is newer than all accepted of
-/// him before.
+/// A package that was sealed with the key of a permitted sender, and is newer than all accepted from this
+/// sender before.
 ///
-/// Made by [`Opener::open`] alone and not copied, so that it is acted on once. The message is wiped when
-/// it is dropped; what a move leaves of it on the stack is not.
+/// Made by [`Opener::open`] alone and not copied, so that it is acted on once. The message is wiped when it
+/// is dropped. What a move leaves of it on the stack is not.
 pub struct Opened<H = PackageHeader> {
     header: H,
     message: Zeroizing<Plaintext>,
@@ -42,7 +43,7 @@ impl<H: HeaderFormat> Opened<H> {
         self.header.sender()
     }
 
-    /// Its place among everything that this sender has sealed: the counter; with
+    /// Its sequence number among everything that this sender has sealed: the counter, or with
     /// [`EpochHeader`](crate::EpochHeader) epoch and counter.
     pub fn sequence(&self) -> H::Sequence {
         self.header.sequence()
@@ -79,13 +80,13 @@ impl<H: fmt::Debug> fmt::Debug for Opened<H> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Row<I, P> {
     sender: I,
-    /// Which of the keys is his.
+    /// Which of the keys is this sender's.
     key: usize,
-    /// The place of the last package accepted of him; before the first, one before all.
+    /// The sequence number of the last package accepted from this sender; before the first, one below all.
     last: P,
 }
 
-/// A key, and how many packages that claimed it had a wrong tag.
+/// A key, and how many packages for it had a wrong tag.
 struct Guarded<C, H> {
     key: SealingKey<C, H>,
     failed: u32,
@@ -95,7 +96,8 @@ struct Guarded<C, H> {
 ///
 /// One for the whole device, however many lines it has. It is not copied: a copy would accept again what
 /// the original has accepted. Forgetting it does the same: see [`resume`](Self::resume). It remembers in
-/// memory alone; whoever acts on a message before a mark above it is stored may act again after a restart.
+/// memory alone. A program that acts on a message before a mark above it is stored may act again after a
+/// restart.
 pub struct Opener<const N: usize, C: Cipher = AesGcm, H: HeaderFormat = PackageHeader> {
     keys: Vec<Guarded<C, H>, N>,
     rows: Vec<Row<H::Id, H::Sequence>, N>,
@@ -119,11 +121,11 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         }
     }
 
-    /// A receiver that permits everybody in `credentials`, each with the counter up to which everything
-    /// of his is rejected: what `last` says, 0 (of epoch 0) for whoever has not been heard before.
+    /// A receiver that permits everybody in `credentials`. `last` gives the counter up to which everything
+    /// of a sender is rejected: 0 (of epoch 0) for one that was never heard.
     ///
-    /// Those who have one key and salt have one count of wrong tags. Those who share a key and not its salt
-    /// have one each, so that the key sees as many times the limit.
+    /// Senders with one key and salt have one count of wrong tags. Senders that share a key and not its
+    /// salt have one count each, so the key sees as many times the limit.
     ///
     /// # Errors
     ///
@@ -147,23 +149,23 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         Ok(opener)
     }
 
-    /// Permits `senders`, all of whom seal with `key`, and none of whom has been heard before.
+    /// Permits `senders`. All of them seal with `key`, and none was ever heard.
     ///
-    /// One key for several senders is what SMACCMPilot's ground stations have: each can then speak as
-    /// any other, and read what it says. Give each its own.
+    /// SMACCMPilot's ground stations share one key: each can then speak as any other, and read what it
+    /// says. Give each its own.
     ///
     /// # Errors
     ///
-    /// [`PermitError`]; nobody is permitted then.
+    /// [`PermitError`]. Nobody is permitted then.
     pub fn permit(&mut self, key: SealingKey<C, H>, senders: &[H::Id]) -> Result<(), PermitError> {
         self.add(key, senders.iter().map(|sender| (*sender, H::ZERO)))
     }
 
-    /// Permits `senders`, all of whom seal with `key`, each with the counter up to which everything of
-    /// his is rejected: for a receiver that kept marks over a restart.
+    /// Permits `senders`, all of which seal with `key`. Each comes with the counter up to which everything
+    /// of it is rejected: for a receiver that kept marks over a restart.
     ///
-    /// It is the last one rejected: one less than a mark above all that was accepted. A mark stored ahead
-    /// costs as many genuine packages after a restart.
+    /// That counter is the last one rejected: one less than a mark above all that was accepted. A mark
+    /// stored ahead costs as many genuine packages after a restart.
     ///
     /// # Errors
     ///
@@ -195,7 +197,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         if count > N.saturating_sub(self.rows.len()) {
             return Err(PermitError::TableFull);
         }
-        // No key is without a sender, so that there is room for a key wherever there is for a sender.
+        // No key is without a sender, so there is room for a key wherever there is for a sender.
         let guarded = Guarded { key, failed: 0 };
         let key = self.keys.len();
         self.keys
@@ -208,23 +210,23 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         Ok(())
     }
 
-    /// Every permitted sender, and the counter up to which everything of his is rejected.
+    /// Every permitted sender, and the counter up to which everything of it is rejected.
     pub fn senders(&self) -> impl Iterator<Item = (H::Id, H::Sequence)> {
         self.rows.iter().map(|row| (row.sender, row.last))
     }
 
-    /// How many packages that claimed the key of `sender` had a wrong tag; `None` if nobody has
-    /// permitted him. Senders with one key have one count.
+    /// How many packages for the key of `sender` had a wrong tag. `None` if it is not permitted. Senders
+    /// with one key have one count.
     #[must_use]
     pub fn failed_opens(&self, sender: H::Id) -> Option<u32> {
         let row = self.row(sender)?;
         Some(self.keys.get(row.key)?.failed)
     }
 
-    /// Opens `package` if it has 96 bytes, its sender is permitted, it is newer than all accepted of him
-    /// before, and its tag is right; then remembers it.
+    /// Opens `package` if it has 96 bytes, its sender is permitted, it is newer than all accepted from this
+    /// sender, and its tag is right. Then remembers it.
     ///
-    /// Any jump forward is accepted, so that any loss is survived; what comes late is rejected.
+    /// Any jump forward is accepted, so that any loss is survived. What comes late is rejected.
     ///
     /// # Errors
     ///
@@ -274,7 +276,7 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         self
     }
 
-    /// For proofs: with one sender more, which of the keys is his, and what he is rejected up to.
+    /// For proofs: with one sender more, which of the keys is its own, and what it is rejected up to.
     #[cfg(kani)]
     #[must_use]
     pub fn with_sender(mut self, sender: H::Id, key: usize, last: H::Sequence) -> Self {
@@ -298,12 +300,12 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> fmt::Debug for Opener<N, C, H> 
     }
 }
 
-/// Why senders cannot be permitted. The caller is at fault; nothing has changed.
+/// Why senders cannot be permitted. The caller is at fault. Nothing has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum PermitError {
-    /// The key is none.
+    /// The bytes are no key.
     Key(SealingKeyError),
     /// A key that nobody seals with.
     NoSender,

@@ -1,4 +1,4 @@
-//! Whole MAVLink packets into messages of 80 bytes, and out of them again.
+//! Whole MAVLink packets into messages of 80 bytes, and back.
 
 use core::fmt;
 use core::time::Duration;
@@ -19,9 +19,9 @@ const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
 
 /// Collects packets until a message is full, a HEARTBEAT comes, or one has waited too long.
 ///
-/// A packet is never split and never changed; packets leave in the order in which they came. Nobody
-/// says how many there are: behind the last, the message is filled with zeros. A packet that does not
-/// fit into any message is rejected and counted, never dropped in silence.
+/// A packet is never split and never changed. Packets leave in the order in which they came. Their number
+/// is not sent: after the last, the message is filled with zeros. A packet that does not fit into any
+/// message is rejected and counted, never dropped in silence.
 ///
 /// ```
 /// use core::time::Duration;
@@ -47,15 +47,16 @@ pub struct Packer {
 }
 
 impl Packer {
-    /// A packer that fills all 80 bytes, and has them sealed when the first has waited for `maximum delay`: see
-    /// [`poll`](Self::poll).
+    /// A packer that fills all 80 bytes. A message is due when its first packet has waited for `max_delay`:
+    /// see [`poll`](Self::poll).
     #[must_use]
     pub const fn new(max_delay: Duration) -> Self {
         Self::of_size(PLAINTEXT_SIZE, max_delay)
     }
 
-    /// The same for a vehicle with SMACCMPilot's own firmware, which loses what lies behind the first
-    /// [`LEGACY_SIZE`] bytes of a message, which stay zero, and knows no MAVLink 2, which is rejected.
+    /// The same for a vehicle with SMACCMPilot's own firmware. It loses what lies after the first
+    /// [`LEGACY_SIZE`] bytes of a message: those bytes stay zero. It knows no MAVLink 2: such packets are
+    /// rejected.
     #[must_use]
     pub const fn legacy(max_delay: Duration) -> Self {
         Self::of_size(LEGACY_SIZE, max_delay)
@@ -72,8 +73,8 @@ impl Packer {
         }
     }
 
-    /// Takes one whole packet of MAVLink 1 or 2, checksum not looked at; gives the message that had to
-    /// make room for it, which must be sealed now: nobody has it any more. A HEARTBEAT leaves with
+    /// Takes one whole packet of MAVLink 1 or 2. Its checksum is not checked. Returns the message that had
+    /// to make room for it, which must be sealed now: the packer no longer has it. A HEARTBEAT leaves with
     /// [`poll`](Self::poll).
     ///
     /// `now` is the time since any start, by a clock that never goes back.
@@ -81,7 +82,7 @@ impl Packer {
     /// # Errors
     ///
     /// [`PackError::Parse`], [`PackError::Trailing`]: not one whole packet. [`PackError::TooLong`],
-    /// [`PackError::LegacyVehicle`]: the packet goes into no message. Rejected packets are counted; what is
+    /// [`PackError::LegacyVehicle`]: the packet goes into no message. Rejected packets are counted. What is
     /// pending stays.
     pub fn push(&mut self, packet: &[u8], now: Duration) -> Result<Option<Plaintext>, PackError> {
         let id = self.check(packet).inspect_err(|_| {
@@ -110,10 +111,23 @@ impl Packer {
         }
     }
 
-    /// The message that is to be sealed now, if there is one: it holds a HEARTBEAT, or its first packet
-    /// has waited long enough.
+    /// When [`poll`](Self::poll) will give a message, by the clock of [`push`](Self::push); `None` while no packet is
+    /// pending.
+    #[must_use]
+    pub fn poll_at(&self) -> Option<Duration> {
+        let at = if self.due {
+            self.since
+        } else {
+            self.since.saturating_add(self.max_delay)
+        };
+        (!self.pending.is_empty()).then_some(at)
+    }
+
+    /// The message that must be sealed now, if there is one: it holds a HEARTBEAT, or its first packet has
+    /// waited long enough.
     ///
-    /// Called at least once in each span of maximum delay, it bounds every packet's wait to two of them.
+    /// If it is called at least once in each span of the maximum delay, no packet waits longer than two
+    /// such spans.
     pub fn poll(&mut self, now: Duration) -> Option<Plaintext> {
         if self.due || now.saturating_sub(self.since) >= self.max_delay {
             self.flush()
@@ -122,7 +136,7 @@ impl Packer {
         }
     }
 
-    /// What is pending, whatever it is; `None` if that is nothing.
+    /// What is pending; `None` if that is nothing.
     pub fn flush(&mut self) -> Option<Plaintext> {
         if self.pending.is_empty() {
             return None;
@@ -166,10 +180,10 @@ pub const fn packets(message: &Plaintext) -> Packets<'_> {
     Packets::new(message)
 }
 
-/// The packets in a message, in order; zeros between and behind them are passed over.
+/// The packets in a message, in order. Zeros between and after them are passed over.
 ///
-/// By their shape alone, checksums not looked at: the message is authentic, and whoever reads a packet
-/// knows its dialect. Behind the first error there is nothing more.
+/// By their shape alone, without checksums: the message is authentic, and the program that reads a packet
+/// knows its dialect. After the first error there is nothing more.
 #[derive(Clone)]
 pub struct Packets<'a> {
     rest: &'a [u8],
@@ -226,19 +240,18 @@ fn first_packet(bytes: &[u8]) -> Result<(&[u8], MessageId), ParseError> {
     Ok((packet, id.into()))
 }
 
-/// Why a packet is not packed. The caller is at fault; nothing has changed but the count of rejections.
+/// Why a packet is not packed. The caller is at fault. Nothing has changed but the count of rejections.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum PackError {
-    /// The packet has more bytes than fit into a message: this many. It can only be sent unsealed, or
-    /// not at all.
+    /// The packet has more bytes than fit into a message: this many. It cannot be sent sealed.
     TooLong(usize),
     /// The bytes do not begin with a whole packet of MAVLink 1 or 2.
     Parse(ParseError),
-    /// A packet of MAVLink 2, for a vehicle that knows none and would lose what is behind it.
+    /// A packet of MAVLink 2, for a vehicle that does not know it and would lose what comes after it.
     LegacyVehicle,
-    /// More bytes than the packet in front of them: this many.
+    /// Bytes after the packet: this many.
     Trailing(usize),
 }
 
@@ -264,8 +277,8 @@ impl core::error::Error for PackError {
     }
 }
 
-/// Why a message that was opened does not hold whole packets to its end. Its sender is at fault: he
-/// has the key.
+/// Why a message that was opened does not hold whole packets to its end. Its sender, who has the key, is at
+/// fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct UnpackError {

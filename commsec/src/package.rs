@@ -1,4 +1,4 @@
-//! A package: 96 bytes, of which the first 8 say who sealed it and when in his order.
+//! A package: 96 bytes, of which the first 8 say who sealed it and where in the sender's order.
 
 use crate::cipher::{PackageTag, Plaintext};
 use crate::error::OpenError;
@@ -7,7 +7,7 @@ use crate::header::HeaderFormat;
 
 /// A sealed package, ready to be sent. Made by [`Sealer::seal`](crate::Sealer::seal) alone.
 ///
-/// It may be sent again, and a radio may do so by itself: the receiver takes it once.
+/// It may be sent again, and a radio may do so by itself. The receiver accepts it once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Package([u8; PACKAGE_SIZE]);
 

@@ -1,8 +1,8 @@
-//! What a host and its own radio say to each other in frames with tag 1: the status of the link.
+//! What a host and its own radio say to each other in frames of kind 1: the status of the link.
 //!
 //! SMACCMPilot's radio firmware (SMACCM-SiK) takes commands as text and answers `B` and `D` in binary,
-//! integers big-endian. Anybody on the line can make such frames: they are for people to look at, and
-//! nothing may act on them.
+//! integers big-endian. Anybody on the line can make such frames. They are for people to look at, and
+//! nothing must act on them.
 
 use core::fmt;
 
@@ -20,7 +20,7 @@ pub const DEBUG_SIZE: usize = 30;
 pub enum Request {
     /// `B`: [`Status`].
     Status,
-    /// `D`: [`Status`] and [`Debug`](struct@Debug).
+    /// `D`: [`Status`] and [`DebugStatus`].
     Debug,
 }
 
@@ -49,7 +49,7 @@ impl Request {
     }
 }
 
-/// How the link does, as a radio counts and measures it. Counts are of 16 bits.
+/// The state of the link, as a radio counts and measures it. Counts have 16 bits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
@@ -83,7 +83,7 @@ pub struct Status {
     pub serial_rx_ok: u16,
 }
 
-/// What only an answer to [`Request::Debug`] has behind its [`Status`].
+/// What only an answer to [`Request::Debug`] has after its [`Status`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct DebugStatus {
@@ -106,7 +106,7 @@ pub enum Answer {
 }
 
 impl Answer {
-    /// The answer in the payload of a frame with tag 1.
+    /// The answer in the payload of a frame of kind 1.
     ///
     /// # Errors
     ///
@@ -207,8 +207,8 @@ impl Status {
         wire
     }
 
-    /// The status as the MAVLink 1 packet GCS_RADIO (175) of SMACCMPilot's dialect, which a gateway
-    /// makes for its ground station: system 77, component 0. 17 bytes.
+    /// The status as the MAVLink 1 packet GCS_RADIO (175) of SMACCMPilot's dialect: 17 bytes. A gateway
+    /// makes it for its ground station, as system 77, component 0.
     ///
     /// As SMACCMPilot's gateway fills it: the field `rxerrors` has the errors of sending, `fixed` the
     /// corrected errors, and `txbuf` nothing.
@@ -217,8 +217,8 @@ impl Status {
         self.packet(sequence, [77, 0], GCS_RADIO, 0)
     }
 
-    /// The status as the MAVLink 1 packet VEHICLE_RADIO (174) of SMACCMPilot's dialect, which a vehicle
-    /// sends about its own radio. 17 bytes.
+    /// The status as the MAVLink 1 packet VEHICLE_RADIO (174) of SMACCMPilot's dialect: 17 bytes. A vehicle
+    /// sends it about its own radio.
     ///
     /// As SMACCMPilot's vehicle fills it: the field `rxerrors` has the errors of sending, `fixed` the
     /// corrected errors, and `txbuf` the low byte of [`serial_rx_overflow`](Self::serial_rx_overflow).
@@ -282,7 +282,7 @@ pub const RADIO_PACKET_SIZE: usize = HEADER_SIZE_V1 + RADIO_PAYLOAD_SIZE + CHECK
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum RadioError {
-    /// Neither 25 bytes that begin with `B` nor 30 that begin with `D`; so many bytes.
+    /// Neither 25 bytes that begin with `B` nor 30 that begin with `D`, but this many.
     NoStatus(usize),
 }
 

@@ -22,9 +22,9 @@ const END_OF_EPOCHS: u16 = u16::MAX;
 /// Seals messages as one sender, each under a counter that was never used before. One for the whole
 /// device, however many lines it has.
 ///
-/// It owns its key and is not copied: two sealers with one key, salt and id would use one nonce twice,
-/// which gives away both messages and lets anybody forge. Nothing here can see what an earlier run has
-/// used; see [`resume`](Sealer::resume) and, for packages with epochs, [`begin`](Sealer::begin).
+/// It owns its key and is not copied. Two sealers with one key, salt and id would use one nonce twice. That
+/// gives away both messages and lets anybody forge. Nothing here can see what an earlier run has used: see
+/// [`resume`](Sealer::resume) and, for packages with epochs, [`begin`](Sealer::begin).
 #[derive(Debug)]
 pub struct Sealer<C: Cipher = AesGcm, H: HeaderFormat = PackageHeader> {
     key: SealingKey<C, H>,
@@ -34,7 +34,7 @@ pub struct Sealer<C: Cipher = AesGcm, H: HeaderFormat = PackageHeader> {
 
 impl<C: Cipher> Sealer<C> {
     /// A sender with a key that was never used before, not even in an earlier run: it counts from 1. With a
-    /// key that is part of an image this is right once in the key's life, and never again.
+    /// key that is part of an image, this is right once in the key's life and never again.
     #[must_use]
     pub const fn new(key: SealingKey<C>, id: SenderId) -> Self {
         Self::resume(key, id, FIRST_COUNTER)
@@ -42,9 +42,9 @@ impl<C: Cipher> Sealer<C> {
 
     /// A sender that counts from `first`, or from 1 if that is greater: for a key that was used before.
     ///
-    /// `first` must be greater than every counter used before the restart, which takes a mark in
-    /// storage that is written ahead of use, and that lives as long as the key: whoever erases it makes a new
-    /// key. Receivers accept the jump. With 2^32 - 1, and so for every mark beyond 32 bits, it seals nothing.
+    /// `first` must be greater than every counter used before the restart. That takes a mark in storage,
+    /// written ahead of use, which lives as long as the key. If the mark is erased, make a new key.
+    /// Receivers accept the jump. With 2^32 - 1, and so for every mark beyond 32 bits, it seals nothing.
     #[must_use]
     pub const fn resume(key: SealingKey<C>, id: SenderId, first: u32) -> Self {
         let next = if first < FIRST_COUNTER {
@@ -59,12 +59,12 @@ impl<C: Cipher> Sealer<C> {
 impl<C: Cipher> Sealer<C, EpochHeader> {
     /// A sender that counts from 1 in the epoch `mark`, in which nothing was sealed before with this key.
     ///
-    /// `mark` is a number in storage that starts at 0, and above which another one was stored before this
-    /// is called: one epoch for each start, used or not. A number beyond 16 bits is rejected, not cut.
+    /// `mark` is a number in storage that starts at 0. A number above it must be stored before this is
+    /// called: one epoch for each start, used or not. A number beyond 16 bits is rejected, not cut.
     ///
     /// # Errors
     ///
-    /// [`EpochError`]: the epochs of the key are used up, 65,535 starts; only a new key helps.
+    /// [`EpochError`]: the epochs of the key are used up, after 65,535 starts. Only a new key helps.
     pub fn begin(
         key: SealingKey<C, EpochHeader>,
         id: EpochSenderId,
@@ -90,7 +90,8 @@ impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
         self.id
     }
 
-    /// The place of the next package, counter and with [`EpochHeader`] epoch; `None` when all are used up.
+    /// The sequence number of the next package: counter, and with [`EpochHeader`] epoch. `None` when all
+    /// are used up.
     pub fn next_sequence(&self) -> Option<H::Sequence> {
         (H::counter(self.next) != END).then_some(self.next)
     }
@@ -107,7 +108,7 @@ impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
     ///
     /// [`SealError::CounterExhausted`] after 2^32 - 2 packages, with [`EpochHeader`] of one epoch, and from
     /// then on always. [`SealError::Cipher`] from a cipher that can fail, which [`AesGcm`] cannot. In both
-    /// cases there is nothing to send; a message is never handed on unsealed.
+    /// cases there is nothing to send. A message is never handed on unsealed.
     pub fn seal(&mut self, message: &Plaintext) -> Result<Package, SealError> {
         let sequence = self.next_sequence().ok_or(SealError::CounterExhausted)?;
         // First, so that a failure in between uses the counter up.
@@ -122,7 +123,7 @@ impl<C: Cipher, H: HeaderFormat> Sealer<C, H> {
     }
 }
 
-/// Why nothing is sealed, and nothing may be sent.
+/// Why nothing is sealed, and nothing must be sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

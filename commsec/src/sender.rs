@@ -1,4 +1,4 @@
-//! Who seals packages, and the place of a package among all that he seals.
+//! Who seals packages, and a package's sequence number among all of its sender.
 
 use core::fmt;
 
@@ -12,7 +12,7 @@ pub struct SenderId(
     pub u32,
 );
 
-/// Who sealed a package with an [`EpochHeader`], which has 16 bits for it.
+/// Who sealed a package with an [`EpochHeader`](crate::EpochHeader), which has 16 bits for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochSenderId(
@@ -40,7 +40,7 @@ impl fmt::Display for EpochSenderId {
 
 /// An epoch and a counter in it. Of two, that of the later epoch is the later one, whatever the counters.
 ///
-/// Receivers also take the counter 0, with which the draft begins, in every epoch but the first.
+/// Receivers also accept the counter 0, with which the draft begins, in every epoch but the first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EpochCounter {
@@ -52,7 +52,7 @@ pub struct EpochCounter {
 }
 
 impl EpochCounter {
-    /// The place that [`to_number`](Self::to_number) makes this number of; `None` beyond 48 bits.
+    /// The inverse of [`to_number`](Self::to_number); `None` beyond 48 bits.
     #[must_use]
     pub const fn from_number(number: u64) -> Option<Self> {
         match number.to_be_bytes() {
@@ -64,7 +64,7 @@ impl EpochCounter {
         }
     }
 
-    /// Both as one number of 48 bits, the epoch in front, that goes up where this does: for a mark in
+    /// Both as one number of 48 bits, the epoch in the high bits. It goes up where this does: for a mark in
     /// storage.
     #[must_use]
     pub const fn to_number(self) -> u64 {

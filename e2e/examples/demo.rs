@@ -1,6 +1,6 @@
 //! The demonstration: the firmware in QEMU, its peers, and attackers.
 
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Parser, ValueEnum};
@@ -36,13 +36,20 @@ enum Firmware {
     Echo,
 }
 
-fn main() -> Result<()> {
-    let options = Options::parse();
+fn main() -> ExitCode {
+    match run(&Options::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: the demonstration failed: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(options: &Options) -> Result<()> {
     let log = options.log;
     if options.seal {
-        let time = SystemTime::now().duration_since(UNIX_EPOCH)?;
-        let seed = options.seed.unwrap_or(time.as_micros() as u64);
-        return sealed(seed, options.other_keys, log);
+        return sealed(options.seed, options.other_keys, log);
     }
     let elf = relay::build(match options.firmware {
         Firmware::Relay => "relay",

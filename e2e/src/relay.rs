@@ -12,8 +12,9 @@ use anyhow::{Context, Result, ensure};
 use mavseal_chips_host::{Chip, Image};
 
 use crate::{
+    run,
     scenario::{
-        self, Counts, Device, Phase, Sending,
+        Counts, Device, Phase, Sending,
         Side::{self, Link, Local},
     },
     wire::{self, Frame},
@@ -59,7 +60,7 @@ pub fn signer(elf: &Path, log: bool) -> Result<()> {
         Phase::new("Into the link side: the peer, and what it must not get through")
             .step(Relay::attacks),
     ];
-    scenario::run(relay, elf, phases, log)?;
+    run(relay, elf, phases, log)?.is_complete()?;
     println!("\nEvery frame was signed, verified or rejected as it must be.");
     Ok(())
 }
@@ -110,6 +111,15 @@ impl Relay {
         })
     }
 
+    /// Whether the last frame that came out was whole.
+    fn is_complete(&self) -> Result<()> {
+        ensure!(
+            self.pending.is_empty(),
+            "half a frame came out of the link side"
+        );
+        Ok(())
+    }
+
     /// Looks at a frame that came out of the link side; gives it without the signature.
     fn check_signature(&mut self, signed: &[u8]) -> Result<Frame> {
         ensure!(signed[2] & 1 == 1, "a frame left the link side unsigned");
@@ -120,11 +130,8 @@ impl Relay {
             signed == again,
             "a frame left the link side with a wrong signature"
         );
-        ensure!(
-            ticks > self.last,
-            "a frame is stamped {ticks}, after {}",
-            self.last
-        );
+        let last = self.last;
+        ensure!(ticks > last, "a frame is stamped {ticks}, after {last}");
         self.last = ticks;
         // The firmware was told the time to the second. It goes on above its mark, a tick a frame, until the
         // clock has come after.
@@ -137,17 +144,11 @@ impl Relay {
 
     /// Telemetry, and what must not be signed.
     fn telemetry(&mut self, sending: &mut Sending) -> Result<()> {
-        let key = self.keys[0].clone();
-        let each = |change: fn(&mut Frame)| self.each(|frame| changed(frame, change));
-        let unknown = each(|frame| frame[7..10].fill(0xF0));
-        let signed = self.each(|frame| wire::sign(frame, &key, LINK_OUT, ticks_now()));
-        let telemetry = self
-            .telemetry
-            .iter()
-            .cloned()
-            .map(|frame| (frame.clone(), frame));
-        sending.passes(Local, "recorded telemetry", telemetry);
-        sending.rejected(Local, "damaged", "bad checksum", each(damage));
+        let signed = self.each(|frame| wire::sign(frame, &self.keys[0], LINK_OUT, ticks_now()));
+        let unknown = self.each(|frame| changed(frame, |frame| frame[7..10].fill(0xF0)));
+        let damaged = self.each(|frame| changed(frame, damage));
+        sending.passes(Local, "recorded telemetry", same(&self.telemetry));
+        sending.rejected(Local, "damaged", "bad checksum", damaged);
         sending.rejected(Local, "unknown message", "unknown message", unknown);
         sending.rejected(Local, "MAVLink 1", "MAVLink 1", mavlink1());
         sending.rejected(Local, "already signed", "already signed", signed);
@@ -159,69 +160,67 @@ impl Relay {
         // They are stamped before they are sent: all of them must arrive within the window.
         let peer = self.telemetry[..2 * FROM_PEER].to_vec();
         let (first, then) = peer.split_at(FROM_PEER);
-        let key = self.keys[0].clone();
+        let (key, now) = (self.keys[0].clone(), ticks_now());
+        let [ahead, behind] = [now + 120 * TICKS_PER_SECOND, now - 61 * TICKS_PER_SECOND];
         let first = self.peer_sends(first, &key);
-        let replayed: Vec<Frame> = first
-            .iter()
-            .take(EACH)
-            .map(|(signed, _)| signed.clone())
-            .collect();
-        let reflected: Vec<Frame> = self.signed.iter().take(EACH).cloned().collect();
-        let now = ticks_now();
+        let replayed: Vec<Frame> = first[..EACH].iter().map(|(sent, _)| sent.clone()).collect();
+        sending.passes(Link, "authentic, from the peer", first);
+
+        let mut reject = |name, because, frames| sending.rejected(Link, name, because, frames);
         let signed =
             |key: &[u8], link_id, ticks| self.each(|frame| wire::sign(frame, key, link_id, ticks));
         let forged = |change: fn(&mut Frame)| {
             self.each(|frame| changed(&wire::sign(frame, &key, LINK_IN, ticks_now()), change))
         };
-        let unsigned = |change: fn(&mut Frame)| self.each(|frame| changed(frame, change));
-        let rejected = [
-            ("the same again", "replayed", replayed),
-            ("own frames, reflected", "wrong link", reflected),
-            ("made for another link", "wrong link", signed(&key, 3, now)),
-            (
-                "payload changed, checksum repaired",
-                "bad tag",
-                forged(|frame| {
-                    frame[10] ^= 1;
-                    wire::repair(frame);
-                }),
-            ),
-            ("tag changed", "bad tag", forged(|frame| flip(frame, 1))),
-            (
-                "link id changed",
-                "bad tag",
-                forged(|frame| flip(frame, 13)),
-            ),
-            (
-                "timestamp changed",
-                "bad tag",
-                forged(|frame| flip(frame, 12)),
-            ),
-            ("another key", "bad tag", signed(&[0x5A; 32], LINK_IN, now)),
-            (
-                "stamped two minutes ahead",
-                "from the future",
-                signed(&key, LINK_IN, now + 120 * TICKS_PER_SECOND),
-            ),
-            (
-                "stamped 61 seconds ago",
-                "too old",
-                signed(&key, LINK_IN, now - 61 * TICKS_PER_SECOND),
-            ),
-            ("unsigned", "not signed", unsigned(|_| {})),
-            ("damaged", "bad checksum", unsigned(damage)),
-            ("MAVLink 1", "MAVLink 1", mavlink1()),
-        ];
-        sending.passes(Link, "authentic, from the peer", first);
-        for (name, because, frames) in rejected {
-            sending.rejected(Link, name, because, frames);
-        }
-        // None of it has moved the receiver's clock or window.
-        sending.passes(
-            Link,
-            "authentic, after all that",
-            self.peer_sends(then, &key),
+        let payload = |frame: &mut Frame| {
+            frame[10] ^= 1;
+            wire::repair(frame);
+        };
+        reject("the same again", "replayed", replayed);
+        reject(
+            "own frames, reflected",
+            "wrong link",
+            self.signed[..EACH].to_vec(),
         );
+        reject("made for another link", "wrong link", signed(&key, 3, now));
+        reject(
+            "payload changed, checksum repaired",
+            "bad tag",
+            forged(payload),
+        );
+        reject("tag changed", "bad tag", forged(|frame| flip(frame, 1)));
+        reject(
+            "link id changed",
+            "bad tag",
+            forged(|frame| flip(frame, 13)),
+        );
+        reject(
+            "timestamp changed",
+            "bad tag",
+            forged(|frame| flip(frame, 12)),
+        );
+        reject("another key", "bad tag", signed(&[0x5A; 32], LINK_IN, now));
+        reject(
+            "stamped two minutes ahead",
+            "from the future",
+            signed(&key, LINK_IN, ahead),
+        );
+        reject(
+            "stamped 61 seconds ago",
+            "too old",
+            signed(&key, LINK_IN, behind),
+        );
+        reject("unsigned", "not signed", self.each(Frame::clone));
+        reject(
+            "damaged",
+            "bad checksum",
+            self.each(|frame| changed(frame, damage)),
+        );
+        reject("MAVLink 1", "MAVLink 1", mavlink1());
+
+        // None of it has moved the receiver's clock or window.
+        let then = self.peer_sends(then, &key);
+        sending.passes(Link, "authentic, after all that", then);
         Ok(())
     }
 
@@ -236,10 +235,8 @@ impl Relay {
             self.last_of_peer = (ticks_now() - BEHIND).max(self.last_of_peer + 1);
             wire::sign(frame, key, LINK_IN, self.last_of_peer)
         };
-        frames
-            .iter()
-            .map(|frame| (sign(frame), frame.clone()))
-            .collect()
+        let frames = frames.iter();
+        frames.map(|frame| (sign(frame), frame.clone())).collect()
     }
 }
 
@@ -267,23 +264,20 @@ impl Device for Relay {
 
     fn counters(&self, counts: [Counts; 2]) -> Vec<String> {
         let counters = Self::PASSED.iter().zip(counts);
-        let line = |(name, Counts { passed, rejected }): (&&str, Counts)| {
+        let lines = counters.map(|(name, Counts { passed, rejected })| {
             format!("[INFO ] {name}: {passed}, rejected: {rejected}, ")
-        };
-        counters.map(line).collect()
+        });
+        lines.collect()
     }
 
     fn reset(&mut self) -> [Vec<u8>; 2] {
         self.prepare_for_reset()
     }
+}
 
-    fn settled(&self) -> Result<()> {
-        ensure!(
-            self.pending.is_empty(),
-            "half a frame came out of the link side"
-        );
-        Ok(())
-    }
+/// Frames that must come out as they are sent, but for a signature.
+fn same(frames: &[Frame]) -> impl Iterator<Item = (Frame, Frame)> {
+    frames.iter().cloned().zip(frames.iter().cloned())
 }
 
 fn changed(frame: &Frame, change: fn(&mut Frame)) -> Frame {

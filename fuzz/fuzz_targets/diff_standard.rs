@@ -1,6 +1,10 @@
 //! The standard's signature is the one of the crate `mavlink`.
+//! Properties: S3.
+//!
+//! Compares the standard's tag, and what is accepted with it, with the crate mavlink-core; the tag with the
+//! crate hmac-sha256.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|input: mavseal_fuzz::standard::Foreign<'_>| {
-    mavseal_fuzz::diff_standard(&input)
-});
+use mavseal_fuzz::standard::Foreign;
+
+libfuzzer_sys::fuzz_target!(|input: Foreign<'_>| mavseal_fuzz::diff_standard(input));

@@ -1,4 +1,10 @@
 //! An end of a link uses nothing twice, and believes nobody more than it may, over restarts.
+//! Properties: T1, T2, R3.
+//!
+//! Compares an end of a link over its restarts: what it stamps and accepts with all before; its clock with
+//! who may move it.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|input: mavseal_fuzz::time::End| mavseal_fuzz::kept_link(&input));
+use mavseal_fuzz::time::End;
+
+libfuzzer_sys::fuzz_target!(|input: End| mavseal_fuzz::kept_link(input));

@@ -1,4 +1,9 @@
 //! The mark in flash is above everything that was used, wherever the power failed.
+//! Properties: T2.
+//!
+//! Compares the mark in flash, over runs that end wherever the power fails, with what was used.
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|input: mavseal_fuzz::memory::Runs| mavseal_fuzz::store_crash(&input));
+use mavseal_fuzz::memory::Runs;
+
+libfuzzer_sys::fuzz_target!(|input: Runs| mavseal_fuzz::store_crash(input));

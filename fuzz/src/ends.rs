@@ -2,20 +2,22 @@
 
 use std::time::Duration;
 
+use arbitrary::Arbitrary;
 use mavlink_commsec::field::{KEY_SIZE, PACKAGE_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::radio::Status;
 use mavlink_commsec::{
     AesGcm, Cipher, CipherError, Credential, Nonce, Opener, PackageTag, Plaintext, Sealer,
-    SenderId, ZeroizeOnDrop, hx, packets,
+    SenderId, ZeroizeOnDrop, hx, hx::FrameKind, packets,
 };
-use mavseal_relay::Direction;
-use mavseal_relay::sealed::{Counters, Event, HighWaterMarks, Radio, RejectReason, SealedEndpoint};
+use mavlink_signing::Timestamp;
+use mavseal_relay::sealed::{
+    HighWaterMarks, Radio, SealedCounters, SealedEndpoint, SealedEvent, SealedRejectReason,
+};
+use mavseal_relay::{Direction, adapter};
 use mavseal_store::HighWaterMark;
 
 use crate::flash::{REGION, Shared};
-use crate::input::input;
 use crate::ports::{Behaviour, Fault, Port, is_due};
-use crate::reached::reached;
 use crate::repair;
 
 /// The end, its two peers, and one that it does not know.
@@ -67,45 +69,41 @@ impl Cipher for Unit {
     }
 }
 
-input! {
-    /// A step: what arrives or happens, then a turn of the end.
-    #[derive(Copy, Default)]
-    pub struct Stage {
-        /// 0: a HEARTBEAT on the local side; 1: a TUNNEL of `of` bytes of payload; 2 and 3: `of` of the
-        /// bytes on the local side, in the air; 4 and 5: a package of a peer with a TUNNEL; 6: one of a
-        /// stranger; 7: the package of `of` before; 8: one of the first peer with byte `of` changed, counted
-        /// round; 9: one of `of` of the bytes; 10 and 11: a frame of `of` of the bytes, air and radio data;
-        /// 12: an answer of the radio; 13: a restart; 14 and 15: flash `of` modulo 3 loses its power after
-        /// `of` / 4 steps, or rejects; anything else: nothing.
-        pub kind: u8,
-        /// See `kind`.
-        pub of: u8,
-        /// Time since the step before, in 40 microseconds.
-        pub ticks: u16,
-        /// What the local and the radio's port do; 255 bytes are all there are.
-        pub ports: [Behaviour; 2],
-    }
+/// A step: what arrives or happens, then a turn of the end.
+#[derive(Arbitrary, Clone, Copy, Debug)]
+pub struct Stage {
+    /// 0: a HEARTBEAT on the local side; 1: a TUNNEL of `of` bytes of payload; 2 and 3: `of` of the
+    /// bytes on the local side, in the air; 4 and 5: a package of a peer with a TUNNEL; 6: one of a
+    /// stranger; 7: the package of `of` before; 8: one of the first peer with byte `of` changed, counted
+    /// round; 9: one of `of` of the bytes; 10 and 11: a frame of `of` of the bytes, air and radio data;
+    /// 12: an answer of the radio; 13: a restart; 14 and 15: flash `of` modulo 3 loses its power after
+    /// `of` / 4 steps, or rejects; anything else: nothing.
+    pub kind: u8,
+    /// See `kind`.
+    pub of: u8,
+    /// Time since the step before, in 40 microseconds.
+    pub ticks: u16,
+    /// What the local and the radio's port do; 255 bytes are all there are.
+    pub ports: [Behaviour; 2],
 }
 
-input! {
-    /// An end, and all that happens to it.
-    #[derive(Default)]
-    pub struct Ends<'a> {
-        /// Whether it is a station.
-        pub station: bool,
-        /// Whether its cipher is broken.
-        pub broken: bool,
-        /// What is left to chance: how a cut leaves words.
-        pub chance: i64,
-        /// Where its own counters begin, and those of both peers, each in two halves.
-        pub first: [[u16; 2]; 2],
-        /// How long a packet waits for others, in milliseconds.
-        pub max_delay: u8,
-        /// In order.
-        pub stages: Vec<Stage>,
-        /// What some of them take bytes from.
-        pub bytes: &'a [u8],
-    }
+/// An end, and all that happens to it.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Ends<'a> {
+    /// Whether it is a station.
+    pub station: bool,
+    /// Whether its cipher is broken.
+    pub broken: bool,
+    /// What is left to chance: how a cut leaves words.
+    pub chance: i64,
+    /// Where its own counters begin, and those of both peers.
+    pub first: [u32; 2],
+    /// How long a packet waits for others, in milliseconds.
+    pub max_delay: u8,
+    /// In order.
+    pub stages: Vec<Stage>,
+    /// What some of them take bytes from.
+    pub bytes: &'a [u8],
 }
 
 /// All that will arrive, and how much of it in each stage, from the local side and from the radio.
@@ -132,20 +130,19 @@ const HEARTBEAT: [u8; 17] = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0
 impl Script {
     fn of(input: &Ends<'_>, stages: &[Stage]) -> Self {
         let mut script = Self::default();
-        let first = number(input.first[1]);
+        let first = input.first[1];
         let mut sealers = [&PEERS[0], &PEERS[1], &UNKNOWN].map(|credential| {
             let key = credential.prepare().expect("a key");
             Sealer::<AesGcm>::resume(key, credential.id, first)
         });
         let mut packages: Vec<Vec<u8>> = Vec::new();
         let mut rest = input.bytes;
-        let mut serial = 0;
-        for Stage { kind, of, .. } in stages {
+        for (Stage { kind, of, .. }, serial) in stages.iter().zip(1..) {
             let before = [script.local.len(), script.air.len()];
             let mut some = || {
                 let (some, others) = rest.split_at(rest.len().min((*of).into()));
                 rest = others;
-                some
+                some.to_vec()
             };
             let mut seal = |which: usize, text: &[u8]| {
                 let mut message = [0; PLAINTEXT_SIZE];
@@ -158,48 +155,32 @@ impl Script {
                 packages.push(package.clone());
                 Some(package)
             };
-            serial += 1;
-            let mut frame = |tag, payload: &[u8]| {
-                if let Ok(frame) = hx::Frame::new(tag, payload) {
-                    script.air.extend(frame.encode());
+            let payload = match kind {
+                4..=6 => seal(usize::from(kind - 4), &tunnel(of % 68, serial)),
+                7 => packages.iter().nth_back((*of).into()).cloned(),
+                8 => seal(0, &tunnel(9, serial)).map(|mut package| {
+                    package[usize::from(*of) % PACKAGE_SIZE] ^= 0x10;
+                    package
+                }),
+                9 => seal(0, &some()),
+                10 | 11 => Some(some()),
+                12 => {
+                    let (rssi, others) = (*of, Status::default());
+                    Some(Status { rssi, ..others }.to_wire().to_vec())
                 }
+                _ => None,
             };
+            let tag = [FrameKind::AirData, FrameKind::Radio][usize::from(*kind >= 11)];
             match kind {
                 0 => script.local.extend(HEARTBEAT),
                 1 => script.local.extend(tunnel(*of, serial)),
                 2 => script.local.extend(some()),
                 3 => script.air.extend(some()),
-                4..=6 => {
-                    let package = seal(usize::from(kind - 4), &tunnel(of % 68, serial));
-                    frame(hx::FrameKind::AirData, &package.unwrap_or_default());
+                _ => {
+                    let payload = payload.unwrap_or_default();
+                    let frame = hx::Frame::new(tag, &payload).into_iter();
+                    script.air.extend(frame.flat_map(|frame| frame.encode()));
                 }
-                7 => {
-                    let at = packages.len().checked_sub(usize::from(*of) + 1);
-                    let package = at.map_or(&[][..], |at| &packages[at]);
-                    frame(hx::FrameKind::AirData, package);
-                }
-                8 => {
-                    let package = seal(0, &tunnel(9, serial));
-                    let mut package = package.unwrap_or_default();
-                    if let Some(byte) = package.get_mut(usize::from(*of) % PACKAGE_SIZE) {
-                        *byte ^= 0x10;
-                    }
-                    frame(hx::FrameKind::AirData, &package);
-                }
-                9 => {
-                    let package = seal(0, some());
-                    frame(hx::FrameKind::AirData, &package.unwrap_or_default());
-                }
-                10 => frame(hx::FrameKind::AirData, some()),
-                11 => frame(hx::FrameKind::Radio, some()),
-                12 => {
-                    let status = Status {
-                        rssi: *of,
-                        ..Status::default()
-                    };
-                    frame(hx::FrameKind::Radio, &status.to_wire());
-                }
-                _ => {}
             }
             let lengths = [script.local.len() - before[0], script.air.len() - before[1]];
             script.lengths.push(lengths);
@@ -208,17 +189,13 @@ impl Script {
     }
 }
 
-fn number([high, low]: [u16; 2]) -> u32 {
-    u32::from(high) << 16 | u32::from(low)
-}
-
 /// What has been seen of an end since it was switched on.
 #[derive(Default)]
 struct Seen {
     /// Packages and packets, sealed and opened.
     packages: [u32; 2],
     packets: [u32; 2],
-    rejected: [Vec<RejectReason>; 2],
+    rejected: [Vec<SealedRejectReason>; 2],
     /// Statuses of the radio that were told.
     told: u8,
     /// What goes to the local side.
@@ -227,11 +204,11 @@ struct Seen {
 
 /// No counter is used and no package opened twice, over all restarts; what comes out was sealed by a peer, or
 /// came in on the local side, whole; every count is that of what was observed.
-pub fn sealed_end(input: &Ends<'_>) {
+pub fn sealed_end(input: Ends<'_>) {
     let stages = &input.stages[..input.stages.len().min(200)];
-    let script = Script::of(input, stages);
+    let script = Script::of(&input, stages);
     let flashes = [0, 1, 2].map(|at| Shared::new(input.chance.wrapping_add(at)));
-    let first = number(input.first[0]);
+    let first = input.first[0];
     if let Some(last) = first.checked_sub(1) {
         let mut mark = HighWaterMark::open(flashes[0].clone(), REGION).expect("fits");
         mark.reserve(last.into(), 0).expect("stored");
@@ -245,15 +222,15 @@ pub fn sealed_end(input: &Ends<'_>) {
     let mut accepted = [0; 2];
     let mut stages = stages.iter().zip(&script.lengths).peekable();
     while stages.peek().is_some() {
-        let mut end = switched_on(input, &flashes);
+        let mut end = switched_on(&input, &flashes);
         let mut seen = Seen::default();
         for (stage, lengths) in stages.by_ref() {
             now += 4 * u64::from(stage.ticks);
+            let flash = &flashes[usize::from(stage.of % 3)];
             match stage.kind {
                 13 => break,
-                14 => flashes[usize::from(stage.of % 3)]
-                    .with(|flash| flash.cut_after((stage.of / 4).into())),
-                15 => flashes[usize::from(stage.of % 3)].with(|flash| flash.fail(u8::MAX)),
+                14 => flash.with(|flash| flash.cut_after((stage.of / 4).into())),
+                15 => flash.with(|flash| flash.fail(u8::MAX)),
                 _ => {}
             }
             let faults = stage.ports.map(|port| Fault::from(port.fault));
@@ -269,29 +246,28 @@ pub fn sealed_end(input: &Ends<'_>) {
             }
             for _ in 0..1000 {
                 let mut events = Vec::new();
-                let polled = end.poll(&mut local, &mut air, now, &mut |event| events.push(event));
+                let mut clock = Timestamp::from_ticks(now).expect("48 bits");
+                let mut observe = |event| events.push(event);
+                let polled =
+                    adapter::poll(&mut end, &mut local, &mut air, &mut clock, &mut observe);
                 for event in events {
                     match event {
-                        Event::Sealed(counter) => {
+                        SealedEvent::Sealed(counter) => {
                             assert!(u64::from(counter) >= used, "a counter is used twice");
                             used = u64::from(counter) + 1;
                             seen.packages[0] += 1;
                         }
-                        Event::Packed => seen.packets[0] += 1,
-                        Event::Opened(sender) => {
+                        SealedEvent::Packed => seen.packets[0] += 1,
+                        SealedEvent::Opened(sender) => {
                             opened(&script, &end, sender, &mut accepted, &mut seen);
                         }
-                        Event::Radio(status) => {
-                            if input.station {
-                                seen.to_local.extend(status.gcs_radio(seen.told));
-                                seen.told = seen.told.wrapping_add(1);
-                            }
+                        SealedEvent::Radio(status) if input.station => {
+                            seen.to_local.extend(status.gcs_radio(seen.told));
+                            seen.told = seen.told.wrapping_add(1);
                         }
-                        Event::Rejected(direction, rejection) => {
-                            let inward = direction == Direction::Inbound;
-                            seen.rejected[usize::from(inward)].push(rejection);
-                            reached(Err::<(), _>(rejection));
-                        }
+                        SealedEvent::Radio(_) => {}
+                        SealedEvent::Rejected(Direction::Outbound, it) => seen.rejected[0].push(it),
+                        SealedEvent::Rejected(Direction::Inbound, it) => seen.rejected[1].push(it),
                     }
                 }
                 let moved = polled.moved();
@@ -300,10 +276,9 @@ pub fn sealed_end(input: &Ends<'_>) {
                     (polled.outbound, faults[0], faults[1]),
                     (polled.inbound, faults[1], faults[0]),
                 ] {
-                    if let Err(error) = &direction {
-                        assert!(is_due(error, from, to), "{error}");
+                    if let Err(error) = direction {
+                        assert!(is_due(&error, from, to), "{error}");
                     }
-                    reached(direction);
                 }
                 if failed || !moved {
                     break;
@@ -315,32 +290,23 @@ pub fn sealed_end(input: &Ends<'_>) {
         // The rest of it is lost with the power.
         let to_local = std::mem::take(&mut local.output);
         assert!(seen.to_local.starts_with(&to_local));
-        left(
-            input,
-            &script.local,
-            &std::mem::take(&mut air.output),
-            &mut last,
-        );
+        let to_air = std::mem::take(&mut air.output);
+        left(&input, &script.local, &to_air, &mut last);
         flashes.iter().for_each(Shared::restart);
     }
 }
 
 fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> SealedEndpoint<Shared, 2, Unit> {
-    let [sent, one, two] = flashes
-        .each_ref()
-        .map(|flash| HighWaterMark::open(flash.clone(), REGION).expect("fits"));
+    let mark = |at: usize| HighWaterMark::open(flashes[at].clone(), REGION).expect("fits");
     let marks = HighWaterMarks {
-        sent,
-        accepted: [one, two],
+        sent: mark(0),
+        accepted: [mark(1), mark(2)],
     };
-    let radio = if input.station {
-        Radio::Station
-    } else {
-        Radio::Vehicle {
-            system_id: 1,
-            component_id: 68,
-        }
+    let vehicle = Radio::Vehicle {
+        system_id: 1,
+        component_id: 68,
     };
+    let radio = [vehicle, Radio::Station][usize::from(input.station)];
     let own = credential(7, if input.broken { BROKEN } else { 1 });
     let max_delay = Duration::from_millis(input.max_delay.into());
     SealedEndpoint::new(&own, &PEERS, marks, radio, max_delay).expect("keys")
@@ -369,7 +335,7 @@ fn opened(
     }
 }
 
-fn adds_up(counters: &Counters, direction: usize, seen: &Seen) {
+fn adds_up(counters: &SealedCounters, direction: usize, seen: &Seen) {
     assert_eq!(counters.packages(), seen.packages[direction]);
     assert_eq!(counters.packets(), seen.packets[direction]);
     for (rejection, count) in counters.rejections() {
@@ -392,7 +358,7 @@ fn left(input: &Ends<'_>, local: &[u8], air: &[u8], last: &mut u32) {
             .push(*byte)
             .map(|frame| frame.expect("whole frames"));
         let Some(frame) = frame else { continue };
-        if frame.kind() == hx::FrameKind::Radio {
+        if frame.kind() == FrameKind::Radio {
             assert_eq!(frame.payload(), b"B\r");
             continue;
         }

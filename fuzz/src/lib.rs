@@ -2,7 +2,7 @@
 //!
 //! No check is bypassed: a target owns a key and makes checksums and tags right itself, see
 //! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
-//! committed seed, on any stable compiler.
+//! committed input, on any stable compiler.
 
 pub mod ends;
 pub mod files;
@@ -11,10 +11,8 @@ pub mod frames;
 pub mod input;
 pub mod memory;
 pub mod ports;
-pub mod reached;
 pub mod repair;
 pub mod sealed;
-pub mod seeds;
 pub mod senders;
 pub mod standard;
 pub mod streams;
@@ -22,70 +20,39 @@ pub mod time;
 pub mod unsigned;
 pub mod values;
 
-use arbitrary::Arbitrary;
-use input::decode;
+use arbitrary::{Arbitrary, Unstructured};
 
-/// A fuzz target, to be run on files.
-#[derive(Clone, Copy, Debug)]
-pub struct Target {
-    /// Its name: its function's, and its file's in `fuzz_targets/`.
-    pub name: &'static str,
-    /// Runs it on the bytes of a file, as libFuzzer does; whether they are an input of it.
-    pub run: fn(&[u8]) -> bool,
-}
-
-/// Names targets, each with its function and how that comes by its input.
+/// Names targets, each with its module.
 macro_rules! targets {
-    ($($module:ident::$name:ident: $kind:ident,)*) => {
-        $(pub use $module::$name;)*
+    ($($module:ident: $($name:ident)*;)*) => {
+        $($(pub use $module::$name;)*)*
 
-        /// Every target.
-        pub const TARGETS: &[Target] = &[
-            $(Target { name: stringify!($name), run: |bytes| $kind(bytes, $name) },)*
+        /// Every target: its name, and how it is run on the bytes of a file; whether they are an input of it.
+        pub const TARGETS: &[(&str, fn(&[u8]) -> bool)] = &[
+            $($((stringify!($name), |bytes| input(bytes, $name)),)*)*
         ];
     };
 }
 
 targets! {
-    frames::verify_frame: bytes,
-    frames::verify_repaired: input,
-    frames::sign_verify: input,
-    frames::tamper_one: input,
-    frames::relay_packet: input,
-    streams::decoder_chunks: input,
-    streams::replay_model: input,
-    senders::streams_model: input,
-    streams::relay: input,
-    ports::relay_ports: input,
-    unsigned::unsigned_policy: input,
-    unsigned::setup_signing: input,
-    values::diff_hmac: input,
-    standard::diff_standard: input,
-    values::checksum_table: input,
-    values::stamps: input,
-    memory::store_crash: input,
-    memory::key_change: input,
-    time::kept_link: input,
-    flash::key_slots: input,
-    sealed::diff_gcm: input,
-    sealed::hx_decoder: input,
-    files::key_file: bytes,
-    sealed::open_package: input,
-    sealed::pack_packets: input,
-    sealed::seal_open: input,
-    sealed::sealed_link: input,
-    ends::sealed_end: input,
+    ends: sealed_end;
+    files: key_file;
+    flash: key_slots;
+    frames: relay_packet sign_verify tamper_one verify_frame verify_repaired;
+    memory: key_change store_crash;
+    ports: relay_ports;
+    sealed: diff_gcm hx_decoder open_package pack_packets seal_open sealed_link;
+    senders: streams_model;
+    standard: diff_standard;
+    streams: decoder_chunks relay replay_model;
+    time: kept_link;
+    unsigned: setup_signing unsigned_policy;
+    values: checksum_table diff_hmac stamps;
 }
 
-fn bytes(bytes: &[u8], target: impl Fn(&[u8])) -> bool {
-    target(bytes);
-    true
-}
-
-fn input<'a, T: Arbitrary<'a>>(bytes: &'a [u8], target: impl Fn(&T)) -> bool {
-    let input = decode(bytes);
-    input.as_ref().is_some_and(|input| {
-        target(input);
-        true
-    })
+/// As `libfuzzer_sys::fuzz_target`.
+fn input<'a, T: Arbitrary<'a>>(bytes: &'a [u8], target: fn(T)) -> bool {
+    let long_enough = bytes.len() >= T::size_hint(0).0;
+    let input = T::arbitrary_take_rest(Unstructured::new(bytes)).ok();
+    input.filter(|_| long_enough).map(target).is_some()
 }

@@ -1,41 +1,36 @@
 //! Targets about what outlives a restart: the mark in flash, and keys while they are changed.
 
+use arbitrary::Arbitrary;
 use mavlink_signing::Hmac;
 use mavseal_proofs::keys::{self, Event};
 use mavseal_proofs::mark::{self, Cut, Small};
 
-use crate::input::input;
-
-input! {
-    /// Runs of a program that uses values below a mark, each ended by a cut of the power.
-    #[derive(Default)]
-    pub struct Runs {
-        /// Values that each run uses; modulo 8.
-        pub uses: u8,
-        /// How far ahead a mark is stored.
-        pub ahead: u8,
-        /// Where each run ends.
-        pub cuts: Vec<Cut>,
-    }
+/// Runs of a program that uses values below a mark, each ended by a cut of the power.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Runs {
+    /// Values that each run uses; modulo 8.
+    pub uses: u8,
+    /// How far ahead a mark is stored.
+    pub ahead: u8,
+    /// Where each run ends.
+    pub cuts: Vec<Cut>,
 }
 
 /// The mark after every run, against what was used in it (T2).
-pub fn store_crash(input: &Runs) {
+pub fn store_crash(input: Runs) {
     let mut flash = Small::default();
     mark::runs(&mut flash, &input.cuts, input.uses % 8, input.ahead.into());
 }
 
-input! {
-    /// What happens while keys are changed.
-    #[derive(Default)]
-    pub struct Change {
-        /// In order.
-        pub events: Vec<Event>,
-    }
+/// What happens while keys are changed.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Change {
+    /// In order.
+    pub events: Vec<Event>,
 }
 
 /// Both ends of a link whose key is changed, whatever is lost and wherever the power fails (K1).
-pub fn key_change(input: &Change) {
+pub fn key_change(input: Change) {
     // Each event is tried on every key that there ever was.
     let events = &input.events[..input.events.len().min(100)];
     let memories = [keys::Model::new(), keys::Model::new()];

@@ -1,55 +1,52 @@
 //! Target: the relay between ports that fail and lines that fall silent.
 
+use arbitrary::Arbitrary;
 use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{FrameRef, field::MAGIC};
 use mavlink_signing::{
     Hmac, ReplayGuard, SigningKey, Stamper, Timestamp, VerifyError, Window, authenticate,
 };
-use mavseal_relay::{ForwardMode, PortError, Relay, SameLinkId};
+use mavseal_relay::{
+    ForwardMode, Relay, SameLinkId,
+    adapter::{self, PortError},
+};
 
-use crate::input::{Moment, input};
-use crate::reached::reached;
+use crate::input::Moment;
 use crate::repair::{self, KEY, SECRET};
 
-input! {
-    /// What one port does in one turn.
-    #[derive(Copy, Default)]
-    pub struct Behaviour {
-        /// Bytes that arrive.
-        pub arrive: u8,
-        /// Bytes that it takes.
-        pub room: u8,
-        /// What fails: 1 to 6, one of its calls; mostly nothing.
-        pub fault: u8,
-    }
+/// What one port does in one turn.
+#[derive(Arbitrary, Clone, Copy, Debug)]
+pub struct Behaviour {
+    /// Bytes that arrive.
+    pub arrive: u8,
+    /// Bytes that it takes.
+    pub room: u8,
+    /// What fails: 1 to 6, one of its calls; mostly nothing.
+    pub fault: u8,
 }
 
-input! {
-    /// A turn of the relay.
-    #[derive(Copy, Default)]
-    pub struct Poll {
-        /// Ticks since the last one.
-        pub ticks: u16,
-        /// What the local and the link port do.
-        pub ports: [Behaviour; 2],
-    }
+/// A turn of the relay.
+#[derive(Arbitrary, Clone, Copy, Debug)]
+pub struct Poll {
+    /// Ticks since the last one.
+    pub ticks: u16,
+    /// What the local and the link port do.
+    pub ports: [Behaviour; 2],
 }
 
-input! {
-    /// What arrives on both sides, and how the ports behave.
-    #[derive(Default)]
-    pub struct Faulty<'a> {
-        /// The link ids of what is signed and of what is verified.
-        pub link_ids: [u8; 2],
-        /// When it begins.
-        pub start: Moment,
-        /// The turns.
-        pub polls: Vec<Poll>,
-        /// How many of the bytes come from the local side.
-        pub local: u16,
-        /// The bytes from the local side, then those from the link side.
-        pub bytes: &'a [u8],
-    }
+/// What arrives on both sides, and how the ports behave.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Faulty<'a> {
+    /// The link ids of what is signed and of what is verified.
+    pub link_ids: [u8; 2],
+    /// When it begins.
+    pub start: Moment,
+    /// The turns.
+    pub polls: Vec<Poll>,
+    /// How many of the bytes come from the local side.
+    pub local: u16,
+    /// The bytes from the local side, then those from the link side.
+    pub bytes: &'a [u8],
 }
 
 /// Which call of a port fails in a turn, by [`Behaviour::fault`].
@@ -176,7 +173,7 @@ pub(crate) fn is_due(error: &PortError<ErrorKind, ErrorKind>, input: Fault, outp
 
 /// The relay between ports that fail: an error is the one that a port gave, and nothing is lost by it;
 /// what leaves on the link side is signed, whole and in order, however long the lines are silent.
-pub fn relay_ports(input: &Faulty<'_>) {
+pub fn relay_ports(input: Faulty<'_>) {
     let local = usize::from(input.local).min(input.bytes.len());
     let mut bytes = input.bytes.to_vec();
     let (local, link) = bytes.split_at_mut(local);
@@ -187,16 +184,16 @@ pub fn relay_ports(input: &Faulty<'_>) {
             parts.restamp(packet, Some(link_in), Some(start));
         });
     }
-    let output = run(input, local, link, &input.polls);
+    let output = run(&input, local, link, &input.polls);
     let Ok([to_local, to_link]) = output else {
         assert_eq!(link_out, link_in);
-        return reached(output);
+        return;
     };
     assert_ne!(link_out, link_in);
     // Only where the clock stands is a line never silent, so that it makes no difference when bytes
     // were read.
     if input.polls.iter().all(|poll| poll.ticks == 0) {
-        let without = run(input, local, link, &[]).expect("as before");
+        let without = run(&input, local, link, &[]).expect("as before");
         assert_eq!([&to_local, &to_link], [&without[0], &without[1]]);
     }
     assert!(to_local.is_empty() || to_local[0] == MAGIC);
@@ -239,15 +236,14 @@ fn run(
         let [at_local, at_link] = poll.ports;
         local.turn(at_local.arrive.into(), at_local.room.into(), from_local);
         link.turn(at_link.arrive.into(), at_link.room.into(), from_link);
-        let polled = relay.poll(&mut local, &mut link, &mut || now, &mut |_| {});
+        let polled = adapter::poll(&mut relay, &mut local, &mut link, &mut { now }, &mut |_| {});
         for (direction, input, output) in [
             (polled.outbound, from_local, from_link),
             (polled.inbound, from_link, from_local),
         ] {
-            if let Err(error) = &direction {
-                assert!(is_due(error, input, output), "{error}");
+            if let Err(error) = direction {
+                assert!(is_due(&error, input, output), "{error}");
             }
-            reached(direction);
         }
     }
     drain(&mut relay, &mut local, &mut link, now);
@@ -259,7 +255,7 @@ fn drain(relay: &mut Relay<Hmac>, local: &mut Port<'_>, link: &mut Port<'_>, now
     loop {
         local.turn(usize::MAX, usize::MAX, Fault::None);
         link.turn(usize::MAX, usize::MAX, Fault::None);
-        let polled = relay.poll(local, link, &mut || now, &mut |_| {});
+        let polled = adapter::poll(relay, local, link, &mut { now }, &mut |_| {});
         if !polled.moved() {
             break;
         }

@@ -11,7 +11,11 @@ use mavlink_signing::field::{
     CHECKSUM_SIZE, HEADER_SIZE, HEADER_SIZE_V1, MAGIC, MAGIC_V1, MAX_PAYLOAD_SIZE, SIGNATURE_SIZE,
     SIGNED_FLAG, TAG_SIZE, TIMESTAMP_SIZE,
 };
-use mavlink_signing::{Hmac, MessageId, Profile, SigningKey, Tag, Timestamp};
+use mavlink_signing::{
+    Frame, Hmac, MessageId, Profile, SigningKey, Stamp, Tag, Timestamp, sign_frame,
+};
+
+use crate::input::Head;
 
 /// The key of every target, known to anyone.
 pub const SECRET: [u8; 32] = *b"the key of every fuzz target....";
@@ -37,41 +41,34 @@ pub fn tag(covered: &[u8]) -> Tag {
     PROFILE.tag(covered)
 }
 
-/// What kind of packet bytes are made into.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
-    /// Whatever they are.
-    Any,
-    /// A packet of MAVLink 1.
-    Mavlink1,
-    /// A frame without signature.
-    Unsigned,
-    /// A frame with one.
-    Signed,
+/// A HEARTBEAT, signed.
+///
+/// # Panics
+///
+/// Never.
+#[must_use]
+pub fn signed(key: &SigningKey<Hmac>, stamp: Stamp) -> Frame {
+    let mut frame = Frame::new(Head::default().into(), &[]).expect("in every dialect");
+    sign_frame(&mut frame, key, stamp).expect("not signed yet");
+    frame
 }
 
-/// Writes magic byte, length and flags so that `bytes` begin with a packet of `shape`, as long as they
-/// allow, and cuts what is behind it.
-pub fn shape(bytes: &mut Vec<u8>, shape: Shape) {
-    let (header, trailer) = match shape {
-        Shape::Any => return,
-        Shape::Mavlink1 => (HEADER_SIZE_V1, CHECKSUM_SIZE),
-        Shape::Unsigned => (HEADER_SIZE, CHECKSUM_SIZE),
-        Shape::Signed => (HEADER_SIZE, CHECKSUM_SIZE + SIGNATURE_SIZE),
+/// Writes magic byte, length and flags so that `bytes` begin with a packet of a kind, as long as they
+/// allow, and cuts what is behind it: 1 MAVLink 1, 2 unsigned, 3 signed; 0 leaves them as they are.
+pub fn shape(bytes: &mut Vec<u8>, kind: u8) {
+    let (magic, header, trailer) = match kind {
+        0 => return,
+        1 => (MAGIC_V1, HEADER_SIZE_V1, CHECKSUM_SIZE),
+        2 => (MAGIC, HEADER_SIZE, CHECKSUM_SIZE),
+        _ => (MAGIC, HEADER_SIZE, CHECKSUM_SIZE + SIGNATURE_SIZE),
     };
     let payload = bytes.len().saturating_sub(header + trailer);
     let payload = payload.min(MAX_PAYLOAD_SIZE);
     bytes.resize(header + payload + trailer, 0);
+    bytes[0] = magic;
     bytes[1] = payload as u8;
-    if shape == Shape::Mavlink1 {
-        bytes[0] = MAGIC_V1;
-    } else {
-        bytes[0] = MAGIC;
-        bytes[2] = if shape == Shape::Signed {
-            SIGNED_FLAG
-        } else {
-            0
-        };
+    if kind > 1 {
+        bytes[2] = if kind > 2 { SIGNED_FLAG } else { 0 };
     }
 }
 

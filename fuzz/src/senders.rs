@@ -1,115 +1,102 @@
 //! Target: a receiver of several senders.
 
-use mavlink_signing::field::TAG_SIZE;
+use std::collections::BTreeSet;
+
+use arbitrary::Arbitrary;
+use mavlink_signing::field::{HEADER_SIZE, TAG_SIZE};
 use mavlink_signing::{
-    AntiReplay, Frame, FrameRef, Header, Links, MessageId, Stamp, Stream, StreamTable, Timestamp,
-    VerifyError, Window, authenticate, sign_frame,
+    AntiReplay, Frame, FrameRef, Header, Links, Stamp, Stream, StreamTable, Timestamp, VerifyError,
+    authenticate, sign_frame,
 };
 use mavseal_proofs::model::Resumed;
 use mavseal_proofs::streams::{reflected, step};
 use mavseal_relay::RejectReason;
 
-use crate::input::{Receiver, input};
-use crate::reached::reached;
+use crate::input::{Head, Receiver};
 use crate::repair::KEY;
 
-input! {
-    /// A frame that arrives.
-    #[derive(Copy, Default)]
-    pub struct Arrival {
-        /// How far the receiver's clock jumps before: not at all, or 2^(n - 1) ticks either way, n
-        /// counted round 48 of them.
-        pub jump: i8,
-        /// Whose frame it is: 2 bits each for link, system and component.
-        pub sender: u8,
-        /// How many ticks after the receiver's clock it is stamped.
-        pub after: i16,
-        /// Modulo 8: 3 the receiver's own, reflected; 4 not signed; 5 forged; 6 damaged; 7 instead one
-        /// that is remembered, `sender` before the last; mostly authentic.
-        pub kind: u8,
-    }
+/// A frame that arrives.
+#[derive(Arbitrary, Clone, Copy, Debug)]
+pub struct Arrival {
+    /// How far the receiver's clock jumps before: not at all, or 2^(n - 1) ticks either way, n
+    /// counted round 48 of them.
+    pub jump: i8,
+    /// Whose frame it is: 2 bits each for link, system and component.
+    pub sender: u8,
+    /// How many ticks after the receiver's clock it is stamped.
+    pub after: i16,
+    /// Modulo 8: 3 the receiver's own, reflected; 4 not signed; 5 forged; 6 damaged; 7 instead one
+    /// that is remembered, `sender` before the last; mostly authentic.
+    pub kind: u8,
 }
 
-input! {
-    /// What arrives at a receiver, from its mark on.
-    #[derive(Default)]
-    pub struct Arrivals {
-        /// Its window and mark, and the link that it may take alone.
-        pub receiver: Receiver,
-        /// Whether it takes that link alone.
-        pub only: bool,
-        /// How many rows it has: 1, 2, 4; modulo 3.
-        pub rows: u8,
-        /// What arrives.
-        pub arrivals: Vec<Arrival>,
-    }
+/// What arrives at a receiver, from its mark on.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Arrivals {
+    /// Its window and mark, and the link that it may take alone.
+    pub receiver: Receiver,
+    /// Whether it takes that link alone.
+    pub only: bool,
+    /// How many rows it has: 1, 2, 4; modulo 3.
+    pub rows: u8,
+    /// What arrives.
+    pub arrivals: Vec<Arrival>,
 }
 
 /// The naive model: every frame that was ever accepted, or sent while there was room for its stream.
 struct Naive {
     links: Links,
-    window: Window,
-    first: Timestamp,
+    receiver: Resumed,
     room: usize,
     seen: Vec<(Stream, Timestamp)>,
     /// The streams that had their first frame from this end.
-    own: Vec<Stream>,
+    own: BTreeSet<[u8; 3]>,
     /// The links on which a stream of this end's has no row.
-    closed: Vec<u8>,
+    closed: BTreeSet<u8>,
 }
 
 impl Naive {
     /// The verdict on an authentic frame.
-    fn receive(
-        &mut self,
-        stream: Stream,
-        stamped: Timestamp,
-        now: Timestamp,
-    ) -> Result<(), VerifyError> {
+    fn receive(&mut self, frame: (Stream, Timestamp), now: Timestamp) -> Result<(), VerifyError> {
+        let (stream, stamped) = frame;
         let age = i128::from(now.ticks()) - i128::from(stamped.ticks());
-        let mut of = self.seen.iter().filter(|(of, _)| *of == stream);
+        let Resumed { window, first, .. } = self.receiver;
+        let rows = self.rows();
+        let last = rows.iter().find(|(of, _)| *of == stream);
+        let closed = self.closed.len() > 1 || self.closed.contains(&stream.link_id);
         if !self.takes(stream) {
             Err(VerifyError::WrongLink(stream.link_id))
-        } else if -age > self.window.ahead.into() {
+        } else if -age > window.ahead.into() {
             Err(VerifyError::FromFuture)
-        } else if age > self.window.past.into() {
+        } else if age > window.past.into() {
             Err(VerifyError::TooOld)
-        } else if stamped < self.first || of.any(|(_, last)| stamped <= *last) {
+        } else if stamped < first || last.is_some_and(|(_, last)| stamped <= *last) {
             Err(VerifyError::Replayed)
-        } else if !self.has_room(stream) {
+        } else if last.is_none() && (rows.len() == self.room || closed) {
             Err(VerifyError::StreamsFull)
         } else {
-            self.seen.push((stream, stamped));
+            self.seen.push(frame);
             Ok(())
         }
     }
 
-    fn send(&mut self, stream: Stream, stamped: Timestamp) {
+    fn send(&mut self, frame: (Stream, Timestamp)) {
+        let (rows, stream) = (self.rows(), frame.0);
         if !self.takes(stream) {
             return;
         }
-        let rows = self.rows();
         if rows.iter().all(|(of, _)| *of != stream) {
-            if rows.len() >= self.room || self.own.len() >= self.room / 2 {
-                self.closed.push(stream.link_id);
+            if rows.len() == self.room || self.own.len() == self.room / 2 {
+                self.closed.insert(stream.link_id);
                 return;
             }
-            self.own.push(stream);
+            self.own.insert(ids(stream));
         }
-        self.seen.push((stream, stamped));
+        self.seen.push(frame);
     }
 
     fn takes(&self, stream: Stream) -> bool {
         self.links == Links::Any || self.links == Links::Only(stream.link_id)
-    }
-
-    fn has_room(&self, stream: Stream) -> bool {
-        let rows = self.rows();
-        let closed = match self.closed.first() {
-            None => false,
-            Some(first) => *first == stream.link_id || self.closed.iter().any(|it| it != first),
-        };
-        (rows.len() < self.room && !closed) || rows.iter().any(|(of, _)| *of == stream)
     }
 
     /// Each stream, and when the newest of its frames was stamped.
@@ -127,84 +114,68 @@ impl Naive {
 
 /// Frames of several streams, authentic, reflected or neither, in any order, while the clock jumps: every
 /// verdict is that of a naive model, and so is every row after it (R2).
-pub fn streams_model(input: &Arrivals) {
+pub fn streams_model(input: Arrivals) {
     match input.rows % 3 {
-        0 => run::<1>(input),
-        1 => run::<2>(input),
-        _ => run::<4>(input),
+        0 => run::<1>(&input),
+        1 => run::<2>(&input),
+        _ => run::<4>(&input),
     }
 }
 
 fn run<const N: usize>(input: &Arrivals) {
-    let Resumed {
-        link_id,
-        window,
-        first,
-    } = input.receiver.into();
-    let links = if input.only {
-        Links::Only(link_id)
-    } else {
-        Links::Any
-    };
-    let mut streams = StreamTable::<N>::resume(links, window, first);
+    let receiver = Resumed::from(input.receiver);
+    let first = receiver.first;
+    let links = [Links::Any, Links::Only(receiver.link_id)][usize::from(input.only)];
+    let mut streams = StreamTable::<N>::resume(links, receiver.window, first);
     let mut naive = Naive {
         links,
-        window,
-        first,
+        receiver,
         room: N,
         seen: Vec::new(),
-        own: Vec::new(),
-        closed: Vec::new(),
+        own: BTreeSet::new(),
+        closed: BTreeSet::new(),
     };
     let mut now = first;
     for arrival in &input.arrivals {
         now = jump(now, arrival.jump);
         let kind = arrival.kind % 8;
-        let frame = match kind {
-            7 => naive.seen.iter().nth_back(arrival.sender.into()).copied(),
-            _ => Some((sender(arrival.sender), move_by(now, arrival.after.into()))),
-        };
-        let Some((stream, timestamp)) = frame else {
+        let again = naive.seen.iter().nth_back(arrival.sender.into()).copied();
+        let new = (sender(arrival.sender), move_by(now, arrival.after.into()));
+        let Some(frame) = (if kind == 7 { again } else { Some(new) }) else {
             continue;
         };
+        let [link_id, system_id, component_id] = ids(frame.0);
         let header = Header {
-            compat_flags: 0,
-            sequence: 0,
-            system_id: stream.system_id,
-            component_id: stream.component_id,
-            message_id: MessageId::from(0),
+            system_id,
+            component_id,
+            ..Head::default().into()
         };
-        let stamp = Stamp {
-            link_id: stream.link_id,
-            timestamp,
-        };
-        let (verdict, expected) = match kind {
+        let timestamp = frame.1;
+        let stamp = Stamp { link_id, timestamp };
+        let verdict = match kind {
             3 => {
-                naive.send(stream, timestamp);
-                let rejection = reflected(&mut streams, &KEY, header, stamp, now);
-                (Err(rejection), naive.receive(stream, timestamp, now))
+                naive.send(frame);
+                Err(reflected(&mut streams, &KEY, header, stamp, now))
             }
-            4..=6 => {
-                let (bytes, rejection) = spoilt(header, stamp, kind);
-                (receive(&bytes, &mut streams, now), Err(rejection))
-            }
-            7 => {
-                let mut frame = Frame::new(header, &[]).expect("a known message");
-                sign_frame(&mut frame, &KEY, stamp).expect("not signed yet");
-                let verdict = receive(frame.as_bytes(), &mut streams, now);
-                (verdict, naive.receive(stream, timestamp, now))
-            }
-            _ => {
-                let verdict = step(&mut streams, first, &KEY, header, stamp, now);
-                (verdict, naive.receive(stream, timestamp, now))
-            }
+            4..=7 => receive(&made(header, stamp, kind), &mut streams, now),
+            _ => step(&mut streams, first, &KEY, header, stamp, now),
+        };
+        let expected = match kind {
+            4 => Err(VerifyError::NotSigned),
+            5 => Err(VerifyError::BadTag),
+            6 => Err(VerifyError::BadChecksum),
+            _ => naive.receive(frame, now),
         };
         assert_eq!(verdict, expected);
-        reached(verdict.map_err(RejectReason::from));
-        reached(verdict);
+        let reason = verdict.err().map(RejectReason::from);
+        assert_ne!(reason, Some(RejectReason::Other));
         let rows = naive.rows().into_iter();
         assert!(streams.rows().eq(rows.map(|(of, last)| (of, Some(last)))));
     }
+}
+
+fn ids(stream: Stream) -> [u8; 3] {
+    [stream.link_id, stream.system_id, stream.component_id]
 }
 
 /// The stream that 6 bits stand for; its ids are as far from each other as they can be.
@@ -230,22 +201,20 @@ pub(crate) fn move_by(clock: Timestamp, ticks: i64) -> Timestamp {
     Timestamp::ZERO.saturating_add(moved)
 }
 
-/// A frame that is not authentic, and the verdict on it.
-fn spoilt(header: Header, stamp: Stamp, kind: u8) -> (Vec<u8>, VerifyError) {
+/// A frame: 4 without signature; 5 forged; 6 damaged.
+fn made(header: Header, stamp: Stamp, kind: u8) -> Vec<u8> {
     let mut frame = Frame::new(header, &[7]).expect("a known message");
-    if kind == 4 {
-        return (frame.as_bytes().to_vec(), VerifyError::NotSigned);
+    if kind != 4 {
+        sign_frame(&mut frame, &KEY, stamp).expect("not signed yet");
     }
-    sign_frame(&mut frame, &KEY, stamp).expect("not signed yet");
     let mut bytes = frame.as_bytes().to_vec();
     let tag = bytes.len() - TAG_SIZE;
-    if kind == 5 {
-        bytes[tag] ^= 1;
-        (bytes, VerifyError::BadTag)
-    } else {
-        bytes[10] ^= 1;
-        (bytes, VerifyError::BadChecksum)
+    match kind {
+        5 => bytes[tag] ^= 1,
+        6 => bytes[HEADER_SIZE] ^= 1,
+        _ => {}
     }
+    bytes
 }
 
 /// As a relay asks for it: the verdict beforehand is the verdict, and what is unsigned is not remembered.

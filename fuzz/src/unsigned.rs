@@ -1,5 +1,6 @@
 //! Targets: frames without signature, the message that carries a key, and what is logged.
 
+use arbitrary::Arbitrary;
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE};
 use mavlink_signing::{
     AllowLink, AllowRadioStatus, Claim, Frame, FrameRef, KEY_SIZE, RejectUnsigned, SetupSigning,
@@ -7,28 +8,24 @@ use mavlink_signing::{
     without_trailing_zeros,
 };
 use mavseal_proofs::{setup, unsigned};
-use mavseal_relay::RejectReason;
 
 use crate::frames::Packaged;
-use crate::input::{Head, Moment, Stamped, input};
-use crate::reached::reached;
+use crate::input::{Head, Moment, Stamped};
 use crate::repair::KEY;
 
-input! {
-    /// A packet, and who decides whether it is acted on.
-    #[derive(Default)]
-    pub struct Asked<'a> {
-        /// The policy: none, RADIO_STATUS, a trusted port, or what `answers` says; modulo 4.
-        pub policy: u8,
-        /// The port that is trusted.
-        pub trusted: u8,
-        /// The port on which the packet came in.
-        pub link_id: u8,
-        /// The answers: one bit for each sum, modulo 16, of the ids that a frame names.
-        pub answers: u16,
-        /// The packet.
-        pub packet: Packaged<'a>,
-    }
+/// A packet, and who decides whether it is acted on.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Asked<'a> {
+    /// The policy: none, RADIO_STATUS, a trusted port, or what `answers` says; modulo 4.
+    pub policy: u8,
+    /// The port that is trusted.
+    pub trusted: u8,
+    /// The port on which the packet came in.
+    pub link_id: u8,
+    /// The answers: one bit for each sum, modulo 16, of the ids that a frame names.
+    pub answers: u16,
+    /// The packet.
+    pub packet: Packaged<'a>,
 }
 
 impl Asked<'_> {
@@ -51,7 +48,7 @@ impl Asked<'_> {
 
 /// Any packet and any policy: it decides about undamaged frames without signature, which come out as they
 /// came in, and is asked about nothing else, by the relay neither (U1).
-pub fn unsigned_policy(input: &Asked<'_>) {
+pub fn unsigned_policy(input: Asked<'_>) {
     let (bytes, _) = input.packet.packet();
     let Ok(frame) = FrameRef::parse(&bytes) else {
         return;
@@ -65,8 +62,6 @@ pub fn unsigned_policy(input: &Asked<'_>) {
         message_id: header.message_id,
     });
     let verdict = unsigned::policy_decides(frame, link_id, answer);
-    reached(verdict.map_err(RejectReason::from));
-    reached(verdict);
 
     let trusted_port = AllowLink {
         link_id: input.trusted,
@@ -88,37 +83,34 @@ pub fn unsigned_policy(input: &Asked<'_>) {
 
     let (receiver, now) = (input.packet.receiver.into(), input.packet.now.timestamp());
     let index = input.packet.damage_at.into();
-    let handed_on = unsigned::only_unsigned_is_asked_about(frame, &KEY, receiver, now, index);
-    reached(handed_on);
+    let _ = unsigned::only_unsigned_is_asked_about(frame, &KEY, receiver, now, index);
 }
 
-input! {
-    /// A key on its way, and another packet.
-    #[derive(Default)]
-    pub struct Shared<'a> {
-        /// Whom the key is for: system and component.
-        pub target: [u8; 2],
-        /// The timestamp to begin with.
-        pub initial: Moment,
-        /// The key.
-        pub secret_key: [u8; 32],
-        /// The header of the frame that carries it.
-        pub head: Head,
-        /// What it is signed with, to be logged.
-        pub stamped: Stamped,
-        /// The byte of a payload that is compared in the log.
-        pub index: u8,
-        /// The packet, whose bytes are also read as a payload.
-        pub packet: Packaged<'a>,
-    }
+/// A key on its way, and another packet.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Shared<'a> {
+    /// Whom the key is for: system and component.
+    pub target: [u8; 2],
+    /// The timestamp to begin with.
+    pub initial: Moment,
+    /// The key.
+    pub secret_key: [u8; 32],
+    /// The header of the frame that carries it.
+    pub head: Head,
+    /// What it is signed with, to be logged.
+    pub stamped: Stamped,
+    /// The byte of a payload that is compared in the log.
+    pub index: u8,
+    /// The packet, whose bytes are also read as a payload.
+    pub packet: Packaged<'a>,
 }
 
 /// A key comes out of SETUP_SIGNING as it went in, any bytes are read as they should be, and what is
 /// logged, of that frame or any other, has neither signature nor key (M1).
-pub fn setup_signing(input: &Shared<'_>) {
+pub fn setup_signing(input: Shared<'_>) {
     let payload = input.packet.bytes;
     setup::only_zeros_are_cut(payload);
-    reached(setup::read_field_by_field(payload));
+    let _ = setup::read_field_by_field(payload);
     let index = input.index.into();
     logged(&input.packet.packet().0, index);
 
@@ -153,9 +145,7 @@ impl Shared<'_> {
 
 /// What of the frame in `bytes` is logged, if anything. It is a whole frame, and fit for a log as it is.
 fn logged(bytes: &[u8], index: usize) -> Option<Frame> {
-    let log = setup::log_shows_no_secret(FrameRef::parse(bytes).ok()?, index);
-    reached(log.as_ref());
-    let log = log.ok()?;
+    let log = setup::log_shows_no_secret(FrameRef::parse(bytes).ok()?, index).ok()?;
     let again = FrameRef::parse(log.as_bytes()).expect("a whole frame");
     assert_eq!(redact_for_log(again).as_ref(), Ok(&log));
     Some(log)

@@ -1,29 +1,27 @@
 //! Targets about single values: keys and tags, checksums, message ids, stamps.
 
+use arbitrary::Arbitrary;
 use mavlink_signing::{
-    Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Timestamp, passphrase_key,
+    Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Stamp, Timestamp, passphrase_key,
 };
 use mavseal_proofs::keeper::{self, Model};
 use mavseal_proofs::{checksum, replay, stamp, table};
 
-use crate::input::{Message, Moment, Receiver, Stamped, input};
-use crate::reached::reached;
+use crate::input::{Message, Moment, Receiver, Stamped};
 use crate::repair::{self, KEY};
 
-input! {
-    /// A key and what it signs.
-    #[derive(Default)]
-    pub struct Keyed<'a> {
-        /// How many of the bytes are the key; 255 stands for 32.
-        pub key_length: u8,
-        /// The key, then the message.
-        pub bytes: &'a [u8],
-    }
+/// A key and what it signs.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Keyed<'a> {
+    /// How many of the bytes are the key; 255 stands for 32.
+    pub key_length: u8,
+    /// The key, then the message.
+    pub bytes: &'a [u8],
 }
 
 /// The profile `Hmac` and the key of a pass-phrase against the crate `hmac-sha256` (S3), and which keys there
 /// are.
-pub fn diff_hmac(input: &Keyed<'_>) {
+pub fn diff_hmac(input: Keyed<'_>) {
     let length = match input.key_length {
         u8::MAX => KEY_SIZE,
         length => length.into(),
@@ -41,7 +39,6 @@ pub fn diff_hmac(input: &Keyed<'_>) {
             assert_eq!(<Hmac>::new(key).tag(message), expected[..6]);
         }
     }
-    reached(made);
     if let Ok(passphrase) = str::from_utf8(message) {
         let key = passphrase_key(passphrase);
         assert_eq!(key, hmac_sha256::Hash::hash(message));
@@ -51,71 +48,63 @@ pub fn diff_hmac(input: &Keyed<'_>) {
     }
 }
 
-input! {
-    /// Bytes under a checksum, and a message id.
-    #[derive(Default)]
-    pub struct Checked<'a> {
-        /// The checksum so far.
-        pub crc: u16,
-        /// The next byte, or the byte that the message's definition adds.
-        pub byte: u8,
-        /// The message that is looked up.
-        pub message: Message,
-        /// The bytes.
-        pub covered: &'a [u8],
-    }
+/// Bytes under a checksum, and a message id.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Checked<'a> {
+    /// The checksum so far.
+    pub crc: u16,
+    /// The next byte, or the byte that the message's definition adds.
+    pub byte: u8,
+    /// The message that is looked up.
+    pub message: Message,
+    /// The bytes.
+    pub covered: &'a [u8],
 }
 
 /// The checksum, as a step and as a whole, against its definition and against the crate `crc` (C1); the
 /// table of messages (C2).
-pub fn checksum_table(input: &Checked<'_>) {
+pub fn checksum_table(input: Checked<'_>) {
     checksum::step_is_bitwise(input.crc, input.byte);
     checksum::whole_is_the_fold(input.covered, input.byte);
-    assert_eq!(
-        mavlink_signing::crc::checksum(input.covered, input.byte),
-        repair::checksum(input.covered, input.byte)
-    );
+    let checksum = mavlink_signing::crc::checksum(input.covered, input.byte);
+    assert_eq!(checksum, repair::checksum(input.covered, input.byte));
     let id = input.message.id();
     assert_eq!(MessageId::new(id.get()), Some(id));
     let _ = table::found_if_there(id);
 }
 
-input! {
-    /// A sender and a receiver, each in the state that it was resumed in, and two moments.
-    #[derive(Copy, Default)]
-    pub struct Clocks {
-        /// The moments.
-        pub now: [Moment; 2],
-        /// What the sender stamps with, and its mark.
-        pub sender: Stamped,
-        /// The receiver.
-        pub receiver: Receiver,
-        /// Another stamp that comes after a restart.
-        pub earlier: Stamped,
-        /// The mark that is stored.
-        pub mark: Moment,
-        /// How many ticks ahead a mark is stored.
-        pub ahead: u16,
-        /// The memory does not store.
-        pub broken: bool,
-    }
+/// A sender and a receiver, each in the state that it was resumed in, and two moments.
+#[derive(Arbitrary, Clone, Copy, Debug)]
+pub struct Clocks {
+    /// The moments.
+    pub now: [Moment; 2],
+    /// What the sender stamps with, and its mark.
+    pub sender: Stamped,
+    /// The receiver.
+    pub receiver: Receiver,
+    /// Another stamp that comes after a restart.
+    pub earlier: Stamped,
+    /// The mark that is stored.
+    pub mark: Moment,
+    /// How many ticks ahead a mark is stored.
+    pub ahead: u16,
+    /// The memory does not store.
+    pub broken: bool,
 }
 
 /// Two stamps of a sender (T1), and one step of a receiver that is given the mark (R1); both with a memory
 /// that may fail, and after a restart (T1, R3).
-pub fn stamps(input: &Clocks) {
+pub fn stamps(input: Clocks) {
     let now = input.now.map(Moment::timestamp);
     for moment in now {
-        assert_eq!(
-            Timestamp::from_unix_micros(moment.unix_micros()),
-            Some(moment)
-        );
+        let again = Timestamp::from_unix_micros(moment.unix_micros());
+        assert_eq!(again, Some(moment));
     }
     let in_1970 = input.now[0].offset.into();
     assert_eq!(Timestamp::from_unix_micros(in_1970), None);
     let Stamped { link_id, moment } = input.sender;
-    reached(stamp::two_stamps(link_id, moment.timestamp(), now));
-    replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
+    let _ = stamp::two_stamps(link_id, moment.timestamp(), now);
+    let _ = replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
     let memory = Model {
         now: now[0],
         mark: input.mark.timestamp().ticks(),
@@ -123,20 +112,11 @@ pub fn stamps(input: &Clocks) {
         broken: input.broken,
         heard: 0,
     };
-    let mut keeper = memory;
     let mark = |keeper: &Model| keeper.mark;
-    reached(keeper::stamps(
-        moment.timestamp(),
-        &mut keeper,
-        mark,
-        now[1],
-    ));
-    reached(keeper::accepts(
-        &KEY,
+    let _ = keeper::stamps(moment.timestamp(), &mut memory.clone(), mark, now[1]);
+    let (receiver, stamps) = (
         input.receiver.into(),
-        memory,
-        input.sender.into(),
-        input.earlier.into(),
-        now[1],
-    ));
+        [input.sender, input.earlier].map(Stamp::from),
+    );
+    let _ = keeper::accepts(&KEY, receiver, memory, stamps[0], stamps[1], now[1]);
 }

@@ -1,10 +1,10 @@
-//! What can be wrong with a key file. No text here shows what is in it but ids and names.
+//! What can be wrong with a key file. No text here shows what is in it, except ids and names.
 
 use std::{io, path::PathBuf};
 
 use crate::field::MAX_STATIONS;
 
-/// Why a key file is not used, or not written. Whoever wrote or chose it is at fault.
+/// Why a key file is not used, or not written. Its author, or the one who chose it, is at fault.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum KeyFileError {
@@ -59,7 +59,7 @@ pub enum KeyFileError {
     /// Two senders with one id.
     #[error("id {0} is given twice")]
     DuplicateId(u32),
-    /// A vehicle and a station with one key: what the one seals, the other would take for its own.
+    /// A vehicle and a station with one key: each would accept the other's packages as its own.
     #[error("the vehicle and station {0} have the same key")]
     VehicleKeyShared(u32),
     /// Two stations with one key: each could speak as the other.

@@ -13,8 +13,8 @@ use zeroize::Zeroizing;
 use crate::error::KeyFileError;
 use crate::field::MAX_STATIONS;
 
-/// The header of the packages that the keys of a file seal. All of them: under one key, the two would use
-/// nonces twice.
+/// The header of all packages that the keys of a file seal. Under one key, the two headers would use nonces
+/// twice.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HeaderKind {
     /// `id-counter`: sender and counter, as SMACCMPilot has it.
@@ -57,8 +57,8 @@ const MAX_OLD_ID: u32 = 15;
 
 /// Keys that were published: anybody can look them up.
 ///
-/// Those of Keys.mk.example and of the constants before it, those that tests and defaults of
-/// SMACCMPilot and its successor use, and those of the example in this package's documentation.
+/// Those of Keys.mk.example and of the constants before it. Those in tests and defaults of SMACCMPilot and
+/// its successor. Those of the example in this package's documentation.
 const PUBLISHED: [[u8; 16]; 6] = [
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
     [15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0],
@@ -70,7 +70,7 @@ const PUBLISHED: [[u8; 16]; 6] = [
     0x7d0f_6a1b_e4c2_9358_08de_17ab_4f5c_6e22_u128.to_be_bytes(),
 ];
 
-/// What is let pass that a link in use must not have. By default nothing.
+/// What is allowed although a link in use must not have it. By default nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Exceptions {
     /// Keys that were published: for demonstrations and tests.
@@ -79,8 +79,8 @@ pub struct Exceptions {
     pub shared_station_keys: bool,
 }
 
-/// A vehicle or a ground station: who it is, and what it seals with. [`Debug`] shows the id alone; the
-/// key is wiped when it is dropped.
+/// A vehicle or a ground station: who it is, and what it seals with. [`Debug`] shows the id alone. The key
+/// is wiped when it is dropped.
 #[derive(Clone, PartialEq, Eq)]
 pub struct SenderKeys {
     /// Its id in every package.
@@ -249,8 +249,8 @@ impl KeyFile {
         Ok(file)
     }
 
-    /// The same senders with another header, for keys that were never used: what they sealed with the one
-    /// they had may have had the nonces of the other.
+    /// The same senders with another header, for keys that were never used. What they sealed with one
+    /// header may have used the nonces of the other.
     ///
     /// # Errors
     ///
@@ -321,7 +321,7 @@ impl KeyFile {
     ///
     /// # Errors
     ///
-    /// [`KeyFileError::Io`]; also if there is a file already, which is never written over.
+    /// [`KeyFileError::Io`], also if there is a file already: it is never overwritten.
     /// [`KeyFileError::NameOfKeysMk`]. What could not be written to its end is removed.
     pub fn write_new(&self, path: &Path) -> Result<(), KeyFileError> {
         if is_keys_mk(path) {
@@ -335,7 +335,7 @@ impl KeyFile {
         let written = file.write_all(self.to_toml().as_bytes());
         let written = written.and_then(|()| file.sync_all());
         written.map_err(|error| {
-            // Of two errors the first one is told.
+            // Of two errors the first one is returned.
             let _ = fs::remove_file(path);
             io_error(path, error)
         })
@@ -359,8 +359,8 @@ fn io_error(path: &Path, error: io::Error) -> KeyFileError {
     }
 }
 
-/// Where TOML is wrong. What the parser says about it is told only where it names fields alone: it may
-/// quote the line, which may be a key.
+/// Where TOML is wrong. The parser's text is shown only where it names fields alone: it may quote the line,
+/// which may be a key.
 fn syntax(text: &str, error: &toml::de::Error) -> KeyFileError {
     let at = error.span().map_or(0, |span| span.start);
     let before = text.get(..at).unwrap_or_default();
@@ -378,7 +378,7 @@ fn syntax(text: &str, error: &toml::de::Error) -> KeyFileError {
 struct Variables<'a>(Vec<(usize, &'a str, &'a str)>);
 
 impl<'a> Variables<'a> {
-    /// `NAME = value` on a line each; what is behind a `#` is a comment.
+    /// `NAME = value` on a line each. What follows a `#` is a comment.
     fn read(text: &'a str) -> Result<Self, KeyFileError> {
         let mut variables: Vec<(usize, &str, &str)> = Vec::new();
         for (line, content) in (1..).zip(text.lines()) {

@@ -17,9 +17,9 @@ pub enum Role {
 }
 
 impl KeyFile {
-    /// Rust source with two statics of `mavlink_commsec::Credential`: `OWN`, what the image seals with,
-    /// and `PEERS`, whom it hears. Their type says which header the file has, and no program compiles
-    /// that uses them with the other.
+    /// Rust source with two statics of `mavlink_commsec::Credential`: `OWN`, what the image seals with, and
+    /// `PEERS`, whom it hears. Their type says which header the file has. A program that uses them with the
+    /// other does not compile.
     ///
     /// # Errors
     ///

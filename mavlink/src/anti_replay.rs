@@ -5,10 +5,10 @@ use crate::frame::FrameRef;
 use crate::time::{Fresh, Timestamp, Window};
 use crate::verify::{Authentic, Verified};
 
-/// What decides whether an authentic frame comes in time and order: [`ReplayGuard`] for one stream,
+/// Decides whether an authentic frame comes in time and in order: [`ReplayGuard`] for one stream,
 /// [`StreamTable`](crate::StreamTable) for several.
 pub trait AntiReplay {
-    /// Lets `frame` through, or says why not; a rejected frame changes nothing.
+    /// Accepts `frame`, or says why not. A rejected frame changes nothing.
     ///
     /// # Errors
     ///
@@ -26,11 +26,11 @@ pub trait AntiReplay {
     /// As [`AntiReplay::admit`].
     fn check(&self, frame: &Authentic<'_>, now: Timestamp) -> Result<(), VerifyError>;
 
-    /// Remembers a frame that this end has signed and sends, so that it is rejected when it comes back.
+    /// Remembers a frame that this end has signed and sends, so that its reflection is rejected.
     fn record_sent(&mut self, frame: FrameRef<'_>);
 
-    /// Whether a frame that this end sends for `link_id`, and tells [of](AntiReplay::record_sent), is rejected when
-    /// it comes back.
+    /// Whether a frame that this end sends for `link_id`, and [records](AntiReplay::record_sent), is
+    /// rejected when it comes back.
     fn rejects_own(&self, link_id: u8) -> bool;
 }
 
@@ -57,8 +57,8 @@ impl AntiReplay for ReplayGuard {
 /// What a receiver remembers of one stream of frames. It is not copied: a copy would accept again
 /// what the original has accepted.
 ///
-/// A link carries one stream: all frames of one sender under one link id. Give each direction of a
-/// link an id of its own: the id is under the tag, so that a sender's own frames, reflected, are
+/// A link carries one stream: all frames of one sender under one link id. Give each direction of a link an
+/// id of its own. The tag covers the id, so a sender's own frames, reflected, are
 /// [`VerifyError::WrongLink`].
 #[derive(Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -80,8 +80,8 @@ impl ReplayGuard {
         Self::resume(link_id, window, Timestamp::ZERO)
     }
 
-    /// A stream on `link_id` that accepts no frame stamped before `first`: for a receiver that
-    /// kept a mark over a restart.
+    /// A stream on `link_id` that accepts no frame stamped before `first`: for a receiver that kept a
+    /// high-water mark over a restart.
     #[must_use]
     pub const fn resume(link_id: u8, window: Window, first: Timestamp) -> Self {
         Self(ReplayState {
@@ -117,13 +117,13 @@ impl ReplayGuard {
         self.0.fresh.used()
     }
 
-    /// Lets `frame` through if it was made for this link, lies in the window around `now`, and is
-    /// newer than every frame let through before; then remembers it.
+    /// Accepts `frame` if it was made for this link, lies in the window around `now`, and is newer than
+    /// every frame accepted before. Then remembers it.
     ///
     /// # Errors
     ///
     /// [`VerifyError::WrongLink`], [`VerifyError::FromFuture`], [`VerifyError::TooOld`],
-    /// [`VerifyError::Replayed`], looked for in this order; nothing has changed then.
+    /// [`VerifyError::Replayed`], looked for in this order. Nothing has changed then.
     pub fn admit<'a>(
         &mut self,
         frame: Authentic<'a>,

@@ -12,8 +12,9 @@ const UNIX_TIME_SIZE: usize = 8;
 /// Bytes of SYSTEM_TIME's payload: that, and the milliseconds since boot.
 const SYSTEM_TIME_SIZE: usize = UNIX_TIME_SIZE + 4;
 
-/// The time that a payload of SYSTEM_TIME tells, 8 bytes of microseconds since 1970; its trailing zeros
-/// may be cut. `None` if it is longer than 12 bytes, or the time before 2015: the sender does not know it.
+/// The time in a payload of SYSTEM_TIME: 8 bytes of microseconds since 1970, little-endian. Its trailing
+/// zeros may be cut. `None` if it is longer than 12 bytes, or the time is before 2015: the sender does not
+/// know it.
 #[must_use]
 pub fn system_time(payload: &[u8]) -> Option<Timestamp> {
     let mut bytes = [0; SYSTEM_TIME_SIZE];
@@ -26,11 +27,12 @@ pub fn system_time(payload: &[u8]) -> Option<Timestamp> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TimeSource {
-    /// Whoever can change what it says could also change this program: a real-time clock on the board,
-    /// the operating system, [`SetupSigning`](crate::SetupSigning)'s `initial_timestamp` that came in on
-    /// a trusted port. Sets the clock, forward or back.
+    /// Anybody who can change what it says could also change this program. Such sources are a real-time
+    /// clock on the board and the operating system. So is the `initial_timestamp` of a
+    /// [`SetupSigning`](crate::SetupSigning) that came in on a trusted port. It sets the clock, forward or
+    /// back.
     Trusted,
-    /// Others can change what it says: GNSS, which is easy to spoof, and SYSTEM_TIME. Moves the clock
+    /// Others can change what it says: GNSS, which is easy to spoof, and SYSTEM_TIME. It moves the clock
     /// forward by small steps, and never syncs it.
     Bounded,
 }
@@ -39,13 +41,14 @@ pub enum TimeSource {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SyncState {
-    /// No [trusted](TimeSource::Trusted) source has told it, or too long ago: it keeps near what peers stamp.
+    /// No [trusted](TimeSource::Trusted) source has set it, or too long ago. It stays near the stamps of
+    /// peers.
     Unsynced,
-    /// A trusted source has told it, no longer ago than [`Clock::holdover`].
+    /// A trusted source has set it, no longer ago than [`Clock::holdover`].
     Synced,
 }
 
-/// The time at one end of a link, counted on a timer from the last moment that somebody told. It goes with
+/// The time at one end of a link, counted on a timer from the last update. It goes with
 /// [`Window::ONE_MINUTE`].
 ///
 /// | clock | a frame in the window | a frame outside of it |
@@ -53,18 +56,22 @@ pub enum SyncState {
 /// | [`SyncState::Synced`] | slews it | is rejected, and moves nothing |
 /// | [`SyncState::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::MAX_STEP`] and the window ahead, is rejected |
 ///
-/// Only authentic frames that are newer than all before come so far. To slew is to move the clock towards
-/// the stamp by no more than a crystal may have gained or lost since it was set. A reservation is what the
-/// sender of a frame may have skipped at a restart; an unsynced clock that took over the stamp itself
-/// would run ahead of everybody by one for each restart.
+/// Only authentic frames that are newer than all before get this far. To slew is to move the clock towards
+/// the stamp, by no more than a crystal may have drifted since it was set. A reservation is what the sender
+/// of a frame may have skipped at a restart. An unsynced clock that took over the stamp itself would run
+/// ahead of everybody by one reservation for each restart.
 ///
-/// An unsynced clock has nothing to hold against a frame. If it held its own time against one, two boards
-/// that had drifted together, or a frame of last week, recorded and played to it, would make it reject all
-/// honest frames for ever. The price: it cannot tell how long a frame has been on its way, so that order
-/// alone protects it: a recording that it never heard is accepted in its order. And a peer whose clock is
-/// wrong takes it along, by up to a [`Clock::MAX_STEP`]: what it has accepted and stamped it does not go back
-/// behind, so that peers with the right time do not hear it, nor it them after a restart, until that time
-/// has come. A board that has a clock to read, or is set on a trusted port, does not pay it.
+/// An unsynced clock cannot reject a frame as too old. If it tried, two drifting boards or one replayed
+/// recording could lock the link forever. The price has two parts:
+///
+/// * It cannot tell how long a frame has been on its way; order alone protects it. A recording that this
+///   end never heard is accepted, once and in order.
+///
+/// * A peer with a wrong clock takes it along, by up to [`Clock::MAX_STEP`]. It never goes back behind what
+///   it has accepted and stamped. Until that time has come, peers with the right time reject its frames.
+///   After a restart it rejects theirs.
+///
+/// A board that reads a clock, or is set on a trusted port, does not pay it.
 ///
 /// All moments of the timer are ticks of 10 microseconds, from anywhere, and never go back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,9 +80,9 @@ pub struct Clock {
     /// The time when the timer showed `since`.
     time: Timestamp,
     since: u64,
-    /// Whether a trusted source has told it, when the timer showed `set`.
+    /// Whether a trusted source set it, when the timer showed `set`.
     synced: bool,
-    /// When it was last set, or began; steps and slews are counted from here.
+    /// When it was last set, or began. Steps and slews are counted from here.
     set: u64,
     /// Ticks that bounded sources have moved it since.
     stepped: u64,
@@ -89,19 +96,19 @@ impl Clock {
     /// microseconds.
     pub const MAX_BOUNDED_STEP: u64 = TICKS_PER_SECOND;
 
-    /// The most that a frame takes an unsynced clock forward: 365 days, in ticks of 10 microseconds. A board
-    /// without a clock that was off for longer is set on a trusted port.
+    /// The most that a frame takes an unsynced clock forward: 365 days, in ticks of 10 microseconds. A
+    /// board without a clock that was off for longer must be set on a trusted port.
     ///
-    /// A clock that shows the first of these days after 2015 has never been told the time, nor heard it:
-    /// nothing bounds its first frame.
+    /// A clock that shows less than this after 2015 has never learnt the time, from a source or from a
+    /// frame. Nothing bounds its first frame.
     pub const MAX_STEP: u64 = 365 * 24 * 3600 * TICKS_PER_SECOND;
 
     /// How wrong a timer on a crystal may be, unless [said otherwise](Clock::drifting): one tick in 2^12,
     /// which is 244 parts in a million.
     pub const CRYSTAL: u32 = 12;
 
-    /// A clock that nobody has told the time, which begins with `earliest`: a time that has certainly
-    /// passed, such as the mark from before the restart less the [`RESERVATION`], or [`Timestamp::ZERO`].
+    /// A clock that nobody has set. It begins with `earliest`, a time that has certainly passed: the mark
+    /// from before the restart less the [`RESERVATION`], or [`Timestamp::ZERO`].
     #[must_use]
     pub const fn unsynced(earliest: Timestamp, timer: u64) -> Self {
         Self {
@@ -139,19 +146,21 @@ impl Clock {
         }
     }
 
-    /// How long a trusted source is believed without being asked again: until two such clocks, each as far
-    /// off as it may drift and as far again as peers may have slewed it, are half of [`Window::ONE_MINUTE`] apart.
-    /// 8 hours and a half on a crystal.
+    /// How long a trusted source is believed without being asked again, in ticks of 10 microseconds: 8
+    /// hours and a half on a crystal.
+    ///
+    /// After this time two such clocks are at most half of [`Window::ONE_MINUTE`] apart. Each is off by
+    /// what it may drift, and by as much again as peers may have slewed it.
     #[must_use]
     pub const fn holdover(&self) -> u64 {
         (Window::ONE_MINUTE.past / 8) << self.drift
     }
 
-    /// Takes `time` from `source`. Gives the ticks that the clock went forward.
+    /// Takes `time` from `source`. Returns the ticks that the clock went forward.
     ///
-    /// A bounded source moves it by [`Clock::MAX_BOUNDED_STEP`] until a trusted one sets it; no more, however often it is
-    /// asked. A time behind the clock says nothing, unless a trusted source tells it; [`Timestamp::ZERO`]
-    /// never does.
+    /// A bounded source moves it by [`Clock::MAX_BOUNDED_STEP`] in all until a trusted one sets it, however
+    /// often it is asked. A time behind the clock changes nothing, unless the source is trusted.
+    /// [`Timestamp::ZERO`] never changes anything.
     pub fn update(&mut self, source: TimeSource, time: Timestamp, timer: u64) -> u64 {
         if time == Timestamp::ZERO {
             return 0;
@@ -173,8 +182,8 @@ impl Clock {
         }
     }
 
-    /// The moment to hold `stamp`, of an authentic frame, against: the time, if the clock knows it;
-    /// otherwise the stamp itself, unless that is more than [`Clock::MAX_STEP`] ahead: then so far ahead.
+    /// The moment to compare `stamp`, of an authentic frame, with. A synced clock gives its time. An
+    /// unsynced one gives the stamp itself, but no more than [`Clock::MAX_STEP`] ahead of its time.
     #[must_use]
     pub fn reference_time(&self, stamp: Timestamp, timer: u64) -> Timestamp {
         let now = self.now(timer);

@@ -18,9 +18,9 @@ pub const fn step(crc: u16, byte: u8) -> u16 {
 
 /// The checksum of a packet.
 ///
-/// `covered` is everything between the magic byte and the checksum; `crc_extra` is the byte that
-/// the message's definition adds, so that two ends with different definitions do not understand
-/// each other by accident (MAVLink guide, "Packet Serialization", CRC_EXTRA).
+/// `covered` is everything between the magic byte and the checksum. `crc_extra` is the byte that the
+/// message's definition adds. So two ends with different definitions do not understand each other by
+/// accident (MAVLink guide, "Packet Serialization", CRC_EXTRA).
 #[must_use]
 pub fn checksum(covered: &[u8], crc_extra: u8) -> u16 {
     #[cfg(feature = "fast-checksum")]

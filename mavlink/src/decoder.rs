@@ -76,8 +76,8 @@ pub enum Packet<'a> {
 }
 
 impl<'a> Packet<'a> {
-    /// The packet at the front of `bytes`, its checksum checked with `crc_extra`; what follows it
-    /// is left alone. For a datagram, which holds whole packets; a stream needs a [`Decoder`].
+    /// The packet at the front of `bytes`, its checksum checked with `crc_extra`. What follows it is left
+    /// alone. For a datagram, which holds whole packets; a stream needs a [`Decoder`].
     ///
     /// # Errors
     ///
@@ -130,7 +130,7 @@ impl<'a> Packet<'a> {
 pub enum DecodeError {
     /// They do not have the shape of a packet.
     Parse(ParseError),
-    /// Not in the dialect, so that the checksum cannot be told right from wrong.
+    /// Not in the dialect, so the checksum cannot be checked.
     UnknownMessage(MessageId),
     /// Not the checksum of a message with this id.
     BadChecksum(MessageId),
@@ -161,23 +161,22 @@ impl core::error::Error for DecodeError {
     }
 }
 
-/// Where to look on after what began like a packet and is none.
+/// Where to search on after what began like a packet and is none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Resync {
     /// At its second byte: the magic byte may have been noise, and what follows a real packet. For
     /// packets that are verified afterwards.
     ///
-    /// A packet inside the payload of a damaged or unknown one comes out too. Whoever sends bytes
-    /// can make a checksum be computed over up to 259 bytes for every byte that it sends, as one magic
-    /// byte after the other does.
+    /// A packet inside the payload of a damaged or unknown one comes out too. A sender can cause a checksum
+    /// over up to 259 bytes with every byte that it sends: one magic byte after the other does.
     NextByte,
     /// After the end that it announces: the payload of a packet that was damaged, but came with all its
     /// bytes, is never taken for packets. For packets that are trusted because of where they come from.
     ///
     /// Where bytes were lost or came in between, that end may lie inside a packet behind it, whose payload
-    /// is then searched. Noise that begins like a packet may cost the packets behind it: 280 bytes at
-    /// most, and again where another magic byte is met before a packet begins.
+    /// is then searched. Noise that begins like a packet may cost the packets behind it, 280 bytes at most.
+    /// It costs as much again where another magic byte comes before a packet begins.
     AnnouncedEnd,
 }
 
@@ -230,7 +229,7 @@ impl Decoder {
         }
     }
 
-    /// Takes bytes from the front of `bytes`, as many as there is room for, and says how many.
+    /// Takes bytes from the front of `bytes`, as many as there is room for. Returns how many.
     ///
     /// There is room for at least one whenever [`read`](Self::read) has returned `None`.
     pub fn write(&mut self, bytes: &[u8]) -> usize {
@@ -263,9 +262,9 @@ impl Decoder {
     ///
     /// # Errors
     ///
-    /// [`DecodeError::UnknownMessage`], [`DecodeError::BadChecksum`], and of
-    /// [`DecodeError::Parse`] only unknown incompatibility flags: what has no magic byte is
-    /// skipped, what is cut short is waited for. The search goes on as [`Resync`] says.
+    /// [`DecodeError::UnknownMessage`], [`DecodeError::BadChecksum`], and of [`DecodeError::Parse`] only
+    /// unknown incompatibility flags. What has no magic byte is skipped, what is cut short is waited for.
+    /// The search goes on as [`Resync`] says.
     pub fn read(&mut self) -> Option<Result<Packet<'_>, DecodeError>> {
         self.take_back();
         let Self {
@@ -308,11 +307,11 @@ impl Decoder {
         }
     }
 
-    /// Says that the line has been silent for longer than any sender pauses within a packet.
+    /// Tells the decoder that the line has been silent for longer than any sender pauses within a packet.
     ///
-    /// What has begun like a packet is given up: noise that announces 255 bytes no longer holds back
-    /// what follows. With [`Resync::NextByte`] the next [`read`](Self::read) finds the packet behind
-    /// such noise.
+    /// What has begun like a packet is given up. So noise that announces 255 bytes no longer holds back
+    /// what follows. With [`Resync::NextByte`] the next [`read`](Self::read) finds the packet behind such
+    /// noise.
     pub const fn idle(&mut self) {
         self.idle = true;
     }
@@ -331,6 +330,7 @@ impl Decoder {
 }
 
 #[cfg(kani)]
+#[cfg_attr(test, mutants::skip)]
 impl Decoder {
     /// For proofs: the first `length` bytes of `bytes` in the buffer, `done` and `lent` of them done
     /// with and lent out; nothing dropped so far.
@@ -357,6 +357,12 @@ impl Decoder {
         self.done <= self.buffer.len() && self.lent <= self.buffer.len() - self.done
     }
 
+    /// For proofs: the bytes that are neither done with nor lent out.
+    #[must_use]
+    pub fn pending(&self) -> &[u8] {
+        self.buffer.get(self.done + self.lent..).unwrap_or_default()
+    }
+
     /// For proofs: [`noise`].
     #[must_use]
     pub fn noise(pending: &[u8]) -> usize {
@@ -365,8 +371,8 @@ impl Decoder {
 }
 
 impl Resync {
-    /// How many bytes of `pending` to give up, which begin like a packet and are none; more than
-    /// there are if its end has not come yet.
+    /// How many bytes of `pending`, which begins like a packet and is none, to give up. More than there are
+    /// if its end has not come yet.
     fn skip(self, pending: &[u8]) -> usize {
         match self {
             Self::NextByte => 1,

@@ -73,7 +73,7 @@ pub enum VerifyError {
     Replayed,
     /// Authentic, but of a stream that is new, and every row of the receiver's table is taken.
     StreamsFull,
-    /// Signed, where only frames without signature are asked about. The caller is at fault.
+    /// Signed, where only unsigned frames belong. The caller is at fault.
     Signed,
     /// Would be accepted, but no mark above its timestamp can be stored. This end's memory is at fault.
     NotStored,

@@ -39,7 +39,7 @@ impl Signature {
     }
 }
 
-/// A received frame: a view of its bytes that nobody has vouched for yet.
+/// A received frame: a view of bytes that are not authenticated yet.
 ///
 /// The header can be read, for logs and routing, and the bytes as a whole, to be passed on. There is
 /// no accessor for the payload: [`Verified`](crate::Verified) has one, and [`Unsigned`](crate::Unsigned).
@@ -55,8 +55,8 @@ pub struct FrameRef<'a> {
 impl<'a> FrameRef<'a> {
     /// The frame at the front of `bytes`; what follows it is left alone.
     ///
-    /// Looks at magic byte, incompatibility flags and length, copies nothing. No checksum and no
-    /// tag is looked at.
+    /// Looks at magic byte, incompatibility flags and length, and copies nothing. It does not look at
+    /// checksum or tag.
     ///
     /// # Errors
     ///
@@ -108,13 +108,13 @@ impl<'a> FrameRef<'a> {
         self.bytes
     }
 
-    /// Whether the frame carries a signature; nothing is said about whose.
+    /// Whether the frame carries a signature. It may be anybody's.
     #[must_use]
     pub const fn is_signed(&self) -> bool {
         self.signature.is_some()
     }
 
-    /// What the frame's signature says, if it carries one; it may be forged.
+    /// The frame's signature, if it carries one. It may be forged.
     #[must_use]
     pub fn signature(&self) -> Option<Signature> {
         self.signature.map(Signature::from_wire)
@@ -179,8 +179,9 @@ pub struct Frame {
 impl Frame {
     /// An unsigned frame of `header` and `payload`.
     ///
-    /// The payload is taken as it is: a sender that follows the guide has already cut its
-    /// trailing zeros (MAVLink guide, "Packet Serialization", Payload Truncation).
+    /// The payload is taken as it is. The guide tells senders to cut its trailing zeros first (MAVLink
+    /// guide, "Packet Serialization", Payload Truncation): see
+    /// [`without_trailing_zeros`](crate::without_trailing_zeros).
     ///
     /// # Errors
     ///

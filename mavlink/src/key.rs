@@ -16,7 +16,7 @@ use crate::profile::{Hmac, Profile};
 pub enum KeyError {
     /// Not 32 bytes, but this many.
     WrongLength(usize),
-    /// All bytes are zero: what storage that was never written, or was erased, reads as.
+    /// All bytes are zero, as in storage that was never written, or was erased.
     AllZero,
 }
 
@@ -35,8 +35,8 @@ impl core::error::Error for KeyError {}
 
 /// A key, prepared for one profile.
 ///
-/// There is no way to read it back and [`Debug`] does not show it. Its memory is wiped when it is
-/// dropped; what its preparation leaves on the stack is not.
+/// There is no way to read it back, and [`Debug`] does not show it. Its memory is wiped when it is dropped.
+/// What its preparation leaves on the stack is not.
 pub struct SigningKey<P = Hmac> {
     profile: P,
 }
@@ -66,7 +66,8 @@ impl<P: Profile> SigningKey<P> {
     /// The key that a pass-phrase stands for: SHA-256 of its UTF-8 bytes, as MAVProxy and Mission
     /// Planner make it of one in ASCII.
     ///
-    /// As hard to guess as the pass-phrase, and no harder: a hash is tried a billion times a second.
+    /// The key is as hard to guess as the pass-phrase: an attacker tries a billion hashes a second. A
+    /// newline at the end of `passphrase` is part of it, and changes the key. An empty one is accepted.
     ///
     /// # Errors
     ///
@@ -78,11 +79,11 @@ impl<P: Profile> SigningKey<P> {
         key
     }
 
-    /// A few digits to compare by eye: two ends that show the same have the same key and profile, but
-    /// for one pair in 2^32.
+    /// A few digits to compare by eye. Two ends that show the same have the same key and profile, but for
+    /// one pair in 2^32.
     ///
-    /// It gives away 32 bits about the key: nothing of a random one, but a guess at a pass-phrase can
-    /// be checked with it.
+    /// It gives away 32 bits about the key. That is nothing of a random key, but a guess at a pass-phrase
+    /// can be checked with it.
     #[must_use]
     pub fn fingerprint(&self) -> Fingerprint {
         // No frame begins with this byte, so that no frame has this tag on purpose.

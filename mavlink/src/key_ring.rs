@@ -17,19 +17,21 @@ use crate::verify::{Authentic, Verified, authenticate};
 pub enum RolloverState {
     /// One key. No change is under way.
     Settled,
-    /// This end has sent a new key to the other, and does not know whether it arrived: it signs with the
-    /// old one until it hears the new one.
+    /// This end has sent a new key to the other, and does not know whether it arrived. It signs with the
+    /// old one until it accepts a frame with the new one.
     Offered,
-    /// This end was given a new key, and signs with it: whoever gave it accepts both.
+    /// This end was given a new key, and signs with it. The end that gave it accepts both.
     Applied,
-    /// The other end has been heard with the new key. Both sign with it; the old one waits to be retired.
+    /// A frame of the other end with the new key was accepted. Both sign with it. The old key waits to be
+    /// retired.
     Confirmed,
 }
 
 /// What is to be stored of a change of key, before it has any effect.
 #[derive(Clone, Copy)]
 pub enum KeyChange<'a> {
-    /// A new key beside the one in use, in phase [`RolloverState::Offered`] or [`RolloverState::Applied`].
+    /// A new key beside the one in use, in the state [`RolloverState::Offered`] or
+    /// [`RolloverState::Applied`].
     Begin(&'a [u8; KEY_SIZE], RolloverState),
     /// [`RolloverState::Confirmed`]; the keys stay.
     Confirm,
@@ -52,7 +54,7 @@ impl fmt::Debug for KeyChange<'_> {
 
 /// Where keys are kept over a restart.
 pub trait KeyStore {
-    /// Stores `change`. After a restart, [`KeyRing`] are resumed in the state after it.
+    /// Stores `change`. After a restart, the [`KeyRing`] is resumed in the state after it.
     ///
     /// # Errors
     ///
@@ -65,13 +67,13 @@ pub trait KeyStore {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum KeyChangeError {
-    /// It is no key. Whoever sent it is at fault, or wants this end to stop signing: it does not.
+    /// It is no key. Its sender is at fault, or wants this end to stop signing: it does not.
     Key(KeyError),
     /// Another change is under way. Retire its old key, or withdraw its new one.
     UnderWay,
-    /// No new key has been offered that could be withdrawn, or it has been heard already.
+    /// No new key has been offered that could be withdrawn, or the other end uses it already.
     NotOffered,
-    /// The other end has not been heard with the new key: to retire the old one could make this end deaf.
+    /// No frame with the new key has been accepted. To retire the old key could make this end deaf.
     NotConfirmed,
     /// The keys cannot be stored. The memory is at fault.
     NotStored,
@@ -147,11 +149,11 @@ impl<P: Profile> Authenticate for &SigningKey<P> {
 /// Settled(new)                                       Settled(new)
 /// ```
 ///
-/// Each end accepts at every moment what the other signs with, whatever is lost on the way and wherever
-/// the power fails. An old key is dropped by [`KeyRing::retire`] alone, never by a timeout, and only once the
-/// other end was heard with the new one. Every step is stored before it has an effect.
+/// Each end accepts at every moment what the other signs with, whatever is lost on the way and wherever the
+/// power fails. [`KeyRing::retire`] alone drops an old key, never a timeout. It does so only after a frame
+/// with the new key was accepted. Every step is stored before it has an effect.
 ///
-/// Stamps go on across the change, so that one receiver serves both keys.
+/// Stamps go on across the change, so one receiver serves both keys.
 pub struct KeyRing<P> {
     /// The key that was in use before the change, or the only one.
     old: SigningKey<P>,
@@ -203,7 +205,7 @@ impl<P: Profile> KeyRing<P> {
         }
     }
 
-    /// How far a change has come.
+    /// How far a change of key has come.
     #[must_use]
     pub const fn rollover_state(&self) -> RolloverState {
         self.phase
@@ -218,7 +220,7 @@ impl<P: Profile> KeyRing<P> {
         }
     }
 
-    /// The key that is accepted besides.
+    /// The key that is also accepted.
     fn other(&self) -> Option<&SigningKey<P>> {
         match self.phase {
             RolloverState::Settled => None,
@@ -227,8 +229,8 @@ impl<P: Profile> KeyRing<P> {
         }
     }
 
-    /// Begins to change to `key`, before it is sent to the other end. The key that is offered already may
-    /// be offered again, since SETUP_SIGNING may be lost.
+    /// Begins to change to `key`, before it is sent to the other end. A key that is already offered can be
+    /// offered again, since SETUP_SIGNING may be lost.
     ///
     /// # Errors
     ///
@@ -250,12 +252,15 @@ impl<P: Profile> KeyRing<P> {
         Ok(())
     }
 
-    /// Takes over `key`, which came from the other end, or in its place on a trusted port; also one that this
-    /// end has offered itself. If it is the old key again, and the other end was not heard with the new one,
-    /// the change is off; an end that has retired the old key is not heard then, until the new one is applied
-    /// again. If it is the newest key, nothing changes, but that an offer counts as taken over.
+    /// Takes over `key`, which came from the other end, or in its place on a trusted port. It may also be
+    /// one that this end has offered itself.
     ///
-    /// A third key has to wait: the other end may already sign with the second alone.
+    /// * The old key again ends the change, unless a frame with the new key was accepted. If the other end
+    ///   has retired the old key, this end rejects its frames until the new key is applied again.
+    ///
+    /// * The newest key changes nothing, except that an offer counts as taken over.
+    ///
+    /// A third key must wait: the other end may already sign with the second alone.
     ///
     /// # Errors
     ///
@@ -287,13 +292,13 @@ impl<P: Profile> KeyRing<P> {
         Ok(())
     }
 
-    /// Whether [`KeyRing::confirm`] is due: the other end was heard with the new key.
+    /// Whether [`KeyRing::confirm`] is due: a frame with the new key was accepted.
     #[must_use]
     pub const fn confirm_pending(&self) -> bool {
         self.heard
     }
 
-    /// Goes over to the new key, if the other end has been heard with it; otherwise does nothing.
+    /// Goes over to the new key, if a frame with it was accepted. Otherwise does nothing.
     ///
     /// # Errors
     ///
@@ -307,7 +312,8 @@ impl<P: Profile> KeyRing<P> {
         Ok(())
     }
 
-    /// Drops the old key. Do so when everybody who has it has been heard with the new one.
+    /// Drops the old key. Do so when frames with the new key were accepted from everybody who has the old
+    /// one.
     ///
     /// # Errors
     ///
@@ -325,8 +331,8 @@ impl<P: Profile> KeyRing<P> {
 
     /// Drops the key that was offered, for instance because the other end rejects it.
     ///
-    /// Send the old key to the other end then: if it had taken over the new one all the same, this end does
-    /// not hear it until it is back at the old one, which it still accepts. Do not offer the same key again.
+    /// Then send the old key to the peer. If it had already switched, this end rejects its frames until it
+    /// switches back. The peer still accepts the old key. Do not offer the same key again.
     ///
     /// # Errors
     ///
@@ -348,7 +354,7 @@ impl<P: Profile> KeyRing<P> {
     }
 }
 
-/// Whether two keys give the same tags: they are never compared byte by byte, which they do not show.
+/// Whether two keys give the same tags. Their bytes cannot be compared: keys do not show them.
 fn same<P: Profile>(one: &SigningKey<P>, other: &SigningKey<P>) -> bool {
     // No frame begins so.
     [b"mavseal same key, 1", b"mavseal same key, 2"]

@@ -58,8 +58,3 @@ pub use unsigned::{
 pub use verify::{Authentic, Verified, authenticate};
 /// What a [`Profile`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;
-
-/// The project's README, so that its example is compiled and run.
-#[cfg(doctest)]
-#[doc = include_str!("../../README.md")]
-mod readme {}

@@ -7,23 +7,30 @@ use crate::verify::{Authentic, Verified};
 
 /// What both directions of a link share: the time, and a mark that survives a restart.
 ///
-/// Any `FnMut() -> Timestamp` is one that remembers nothing, and so is a [`Timestamp`], which stands still.
+/// Any `FnMut() -> Timestamp` is one that remembers nothing and that nobody sets. So is a [`Timestamp`], which
+/// stands still.
 pub trait LinkClock {
     /// The time now.
     fn now(&mut self) -> Timestamp;
 
-    /// The moment to hold `stamp` against, of an authentic frame that may be rejected yet. See
-    /// [`Clock::reference_time`](crate::Clock::judged_at).
+    /// The time since any start, in ticks of 10 microseconds, by a timer that never goes back.
+    ///
+    /// Silence and deadlines are measured with it: unlike [`now`](Self::now), it does not step when a source or a
+    /// frame tells the time.
+    fn monotonic(&mut self) -> u64;
+
+    /// The moment to compare `stamp` with, of an authentic frame that may still be rejected. See
+    /// [`Clock::reference_time`](crate::Clock::reference_time).
     fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
         let _ = stamp;
         self.now()
     }
 
-    /// Makes sure that a mark above `stamp` is stored, before it is used or accepted.
+    /// Makes sure that a high-water mark above `stamp` is stored, before `stamp` is used or accepted.
     ///
     /// # Errors
     ///
-    /// [`NotStored`]: it must not be used.
+    /// [`NotStored`]: `stamp` must not be used.
     fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
         let _ = stamp;
         Ok(())
@@ -38,19 +45,19 @@ pub trait LinkClock {
     ///
     /// # Errors
     ///
-    /// [`SignError::TimestampsExhausted`], [`SignError::NotStored`]; no stamp has been used up then.
+    /// [`SignError::TimestampsExhausted`], [`SignError::NotStored`]. No stamp has been used up then.
     fn stamp(&mut self, stamper: &mut Stamper) -> Result<Stamp, SignError> {
         let now = self.now();
         self.reserve(stamper.next(now)?.timestamp)?;
         stamper.stamp(now)
     }
 
-    /// Lets `frame` through if `receiver` does, with a mark above its stamp stored first.
+    /// Accepts `frame` if `receiver` does, with a mark above its stamp stored first.
     ///
     /// # Errors
     ///
-    /// Those of [`AntiReplay::admit`], and [`VerifyError::NotStored`]; nothing has changed then, nor been
-    /// stored but for a frame that would be accepted.
+    /// Those of [`AntiReplay::admit`], and [`VerifyError::NotStored`]. Nothing has changed then. A mark has
+    /// been stored only for a frame that would be accepted.
     fn admit<'a, R: AntiReplay>(
         &mut self,
         receiver: &mut R,
@@ -70,10 +77,18 @@ impl<F: FnMut() -> Timestamp> LinkClock for F {
     fn now(&mut self) -> Timestamp {
         self()
     }
+
+    fn monotonic(&mut self) -> u64 {
+        self().ticks()
+    }
 }
 
 impl LinkClock for Timestamp {
     fn now(&mut self) -> Timestamp {
         *self
+    }
+
+    fn monotonic(&mut self) -> u64 {
+        self.ticks()
     }
 }

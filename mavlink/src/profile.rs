@@ -32,9 +32,9 @@ pub trait Profile: ZeroizeOnDrop {
 /// **Not** the signature of the MAVLink standard: ArduPilot, PX4, QGroundControl, MAVProxy and
 /// pymavlink use the plain SHA-256 of key and frame. The two do not understand each other.
 ///
-/// The two compressions that absorb the key are done once for each key; a tag of a frame with up
-/// to 36 bytes of payload then costs two, each further 64 bytes one more. `H` is the hash, so
-/// that a part with a hash unit can put its own behind the same construction.
+/// The two compressions that absorb the key are done once for each key. A tag of a frame with up to 36
+/// bytes of payload then costs two, each further 64 bytes one more. `H` is the hash: a part with a hash
+/// unit can use its own.
 pub struct Hmac<H: EagerHash = Sha256>
 where
     H::Core: ZeroizeOnDrop,
@@ -50,8 +50,8 @@ where
     H::Core: ZeroizeOnDrop,
 {
     fn new(key: &[u8; KEY_SIZE]) -> Self {
-        // RFC 2104 fills a short key with zeros to the hash's block; doing it here leaves no
-        // length that could be wrong.
+        // RFC 2104 fills a short key with zeros to the hash's block. Doing it here leaves no length that
+        // could be wrong.
         let mut block = Key::<HmacCore<H>>::default();
         for (slot, byte) in block.iter_mut().zip(key) {
             *slot = *byte;
@@ -62,8 +62,8 @@ where
     }
 
     fn tag(&self, covered: &[u8]) -> Tag {
-        // Block by block rather than by `Mac`: its `finalize` takes and wipes a copy of states and
-        // buffer, 150 bytes of a stack that may be small.
+        // Block by block rather than by `Mac`. Its `finalize` takes and wipes a copy of states and buffer:
+        // 150 bytes of a stack that may be small.
         let mut keyed = self.keyed.clone();
         let mut buffer = Buffer::<HmacCore<H>>::default();
         buffer.digest_blocks(covered, |blocks| keyed.update_blocks(blocks));
@@ -80,9 +80,9 @@ where
 /// What ArduPilot, PX4, QGroundControl, MAVProxy and pymavlink speak (MAVLink guide, "Message
 /// Signing", Signature). [`Hmac`] does not understand it, nor it [`Hmac`].
 ///
-/// A tag of a frame with up to 4 bytes of payload costs one compression, each further 64 bytes one
-/// more. That a tag does not give away those of longer frames, as whole digests with a secret prefix
-/// would, is due to the cut: 48 of the digest's 256 bits are sent.
+/// A tag of a frame with up to 4 bytes of payload costs one compression, each further 64 bytes one more.
+/// Whole digests with a secret prefix would give away the tags of longer frames. This does not, as only 48
+/// of the digest's 256 bits are sent.
 pub struct Standard<H: EagerHash = Sha256>
 where
     H::Core: ZeroizeOnDrop,
@@ -118,14 +118,14 @@ where
     }
 }
 
-/// Wipes `buffer` as dropping it would, but by words: its own `Drop` writes byte by byte, takes a fifth
-/// of the time of a short frame's tag, and is to be forgotten.
+/// Wipes by words. The type's own `Drop` wipes bytewise and takes 20 % of a short tag, so call
+/// `mem::forget` afterwards.
 fn wipe<BlockSize: BlockSizes>(buffer: &mut EagerBuffer<BlockSize>) {
     buffer.set(Array::default(), 0);
     optimization_barrier(buffer);
 }
 
-/// The first 48 bits of a digest, which is wiped: the whole one would give tags of longer frames away.
+/// The first 48 bits of a digest, which is wiped. The whole one would give away tags of longer frames.
 fn cut<Size: ArraySize>(digest: &mut Array<u8, Size>) -> Tag {
     let mut tag = [0; TAG_SIZE];
     for (slot, byte) in tag.iter_mut().zip(digest.iter()) {

@@ -56,7 +56,7 @@ impl core::error::Error for SetupError {}
 /// A key on its way to one component, and the timestamp to begin with (MAVLink guide, "Message
 /// Signing", Secret Key Management).
 ///
-/// It is sent in plain text: over a cable, or a link that nobody else can read. [`Debug`] does not show
+/// It is sent in clear. Send it over a cable, or a link that nobody else can read. [`Debug`] does not show
 /// the key, and it is wiped when this is dropped.
 pub struct SetupSigning {
     /// Whom the key is for.
@@ -65,15 +65,15 @@ pub struct SetupSigning {
     pub target_component: u8,
     /// The key.
     pub secret_key: [u8; KEY_SIZE],
-    /// The timestamp to begin with.
+    /// The timestamp to begin with, in ticks of 10 microseconds since 2015.
     pub initial_timestamp: Timestamp,
 }
 
 impl SetupSigning {
-    /// What the payload of a SETUP_SIGNING frame says; its trailing zeros may be cut.
+    /// Reads the payload of a SETUP_SIGNING frame. Its trailing zeros may be cut.
     ///
-    /// Whether the frame is SETUP_SIGNING at all, and for whom, the caller has looked at. A key of zeros
-    /// only, which with a timestamp of zero asks the receiver to stop signing, is given as it is:
+    /// The caller checks that the frame is SETUP_SIGNING, and for whom. A key of zeros only is returned as
+    /// it is; with a timestamp of zero, it asks the receiver to stop signing.
     /// [`SigningKey::new`](crate::SigningKey::new) rejects it.
     ///
     /// # Errors
@@ -101,8 +101,8 @@ impl SetupSigning {
         Ok(setup)
     }
 
-    /// The frame that carries it: unsigned, with the fields of `header` but the message id. It holds the
-    /// key, and is not wiped when it is dropped. Target 0 is everybody, who should not have it.
+    /// The frame that carries it: unsigned, with the fields of `header` except the message id. It holds the
+    /// key, and is not wiped when it is dropped. Target 0 means everybody, who should not have the key.
     ///
     /// # Errors
     ///
@@ -144,7 +144,7 @@ impl Drop for SetupSigning {
 
 impl ZeroizeOnDrop for SetupSigning {}
 
-/// A payload as it is sent: zeros at its end are cut, its first byte is kept (MAVLink guide, "Packet
+/// A payload as it is sent: zeros at its end are cut, its first byte stays (MAVLink guide, "Packet
 /// Serialization", Payload Truncation).
 #[must_use]
 pub fn without_trailing_zeros(payload: &[u8]) -> &[u8] {
@@ -152,13 +152,13 @@ pub fn without_trailing_zeros(payload: &[u8]) -> &[u8] {
     payload.get(..=last).unwrap_or(payload)
 }
 
-/// The frame as it may be written to a log: signature removed, flag cleared, the key of SETUP_SIGNING
-/// overwritten with 0xFF (MAVLink guide, "Message Signing", Logging).
+/// The frame as it may be written to a log. The signature is removed and the flag cleared. The key of
+/// SETUP_SIGNING is overwritten with 0xFF (MAVLink guide, "Message Signing", Logging).
 ///
 /// # Errors
 ///
-/// [`SignError::UnknownMessage`], [`SignError::BadChecksum`]: there is no telling what its bytes hold;
-/// log their number instead.
+/// [`SignError::UnknownMessage`], [`SignError::BadChecksum`]: its bytes may hold anything, so log their
+/// number instead.
 pub fn redact_for_log(frame: FrameRef<'_>) -> Result<Frame, SignError> {
     let header = frame.header();
     let id = header.message_id;

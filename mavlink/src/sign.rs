@@ -6,15 +6,15 @@ use crate::key::SigningKey;
 use crate::profile::Profile;
 use crate::time::Stamp;
 
-/// Signs `frame`: sets the signed flag (incompatibility flag 0x01), computes the checksum anew,
-/// and appends link id, timestamp and the 6-byte tag over everything before it.
+/// Signs `frame`. Sets the signed flag (incompatibility flag 0x01) and recomputes the checksum. Then
+/// appends link id, timestamp and the 6-byte tag over everything before it.
 ///
 /// `stamp` comes from the link's [`Stamper`](crate::Stamper). Sign when sending, not earlier: the
 /// receiver rejects a frame that has waited longer than its window.
 ///
 /// # Errors
 ///
-/// [`SignError::AlreadySigned`]; the frame is then unchanged.
+/// [`SignError::AlreadySigned`]. The frame is unchanged then.
 pub fn sign_frame<P: Profile>(
     frame: &mut Frame,
     key: &SigningKey<P>,

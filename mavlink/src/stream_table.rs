@@ -32,19 +32,19 @@ impl Stream {
     }
 }
 
-/// Which link ids a receiver takes frames of.
+/// The link ids whose frames a receiver accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Links {
-    /// All. A frame recorded on one link is then authentic on another, and accepted there as the
-    /// first of its stream for as long as it lies in the window.
+    /// All. A frame recorded on one link is then authentic on another. While it lies in the window, it is
+    /// accepted there as the first of its stream.
     Any,
     /// This one alone: a frame recorded on another link is rejected.
     Only(u8),
 }
 
 impl Links {
-    /// Whether frames of `link_id` are taken.
+    /// Whether frames of `link_id` are accepted.
     #[must_use]
     pub const fn take(self, link_id: u8) -> bool {
         match self {
@@ -57,10 +57,10 @@ impl Links {
 /// What a receiver remembers of up to `N` streams. It is not copied: a copy would accept again what
 /// the original has accepted.
 ///
-/// Only an accepted frame takes a row, or one that this end [sent](StreamTable::record_sent), and no row is given up:
-/// when all are taken, further streams are rejected. Whoever has the key can fill the table; nobody else.
-/// What this end sends takes half of it at most: equipment that is signed for, whatever it says that it is,
-/// leaves the other half to peers.
+/// Only an accepted frame takes a row, or one that this end [sent](StreamTable::record_sent). No row is
+/// given up: when all are taken, further streams are rejected. Only somebody with the key can fill the
+/// table. What this end sends takes half of it at most. Whatever ids the equipment has that it signs for,
+/// the other half is left to peers.
 #[derive(Debug)]
 pub struct StreamTable<const N: usize> {
     links: Links,
@@ -68,7 +68,7 @@ pub struct StreamTable<const N: usize> {
     /// What is fresh in every stream, whatever its row says.
     first: Fresh,
     rows: Vec<Row, N>,
-    /// Where this end sent frames of streams that have no row.
+    /// The links on which this end sent frames of streams that have no row.
     closed: Option<Links>,
 }
 
@@ -110,7 +110,7 @@ impl<const N: usize> StreamTable<N> {
     }
 
     /// A receiver that accepts no frame stamped before `first`, of any stream: for one that kept a
-    /// mark over a restart.
+    /// high-water mark over a restart.
     #[must_use]
     pub const fn resume(links: Links, window: Window, first: Timestamp) -> Self {
         Self {
@@ -122,7 +122,7 @@ impl<const N: usize> StreamTable<N> {
         }
     }
 
-    /// Which link ids frames are taken of.
+    /// The link ids whose frames are accepted.
     #[must_use]
     pub const fn links(&self) -> Links {
         self.links
@@ -134,26 +134,26 @@ impl<const N: usize> StreamTable<N> {
         self.window
     }
 
-    /// The links of which no new stream is taken, since this end sent more streams than have a row: one of
-    /// them, reflected, could not be told from a peer's. `None` if there are none.
+    /// The links on which no new stream is accepted, since this end sent more streams than have a row. One
+    /// of them, reflected, would look like a peer's. `None` if there are none.
     #[must_use]
     pub const fn closed(&self) -> Option<Links> {
         self.closed
     }
 
-    /// Every stream of which a frame was accepted or sent, and the timestamp of the newest: up to it all
-    /// frames of the stream are rejected, and up to the mark that the receiver was resumed at.
+    /// Every stream of which a frame was accepted or sent, and its newest timestamp. Frames of the stream
+    /// up to it are rejected, and up to the mark that the receiver was resumed at.
     pub fn rows(&self) -> impl Iterator<Item = (Stream, Option<Timestamp>)> {
         self.rows.iter().map(|row| (row.stream, row.fresh.used()))
     }
 
-    /// Lets `frame` through if it is of a link that this receiver takes, lies in the window around
-    /// `now`, and is newer than every frame of its stream let through before; then remembers it.
+    /// Accepts `frame` if its link is accepted, it lies in the window around `now`, and it is newer than
+    /// every accepted frame of its stream. Then remembers it.
     ///
     /// # Errors
     ///
     /// [`VerifyError::WrongLink`], [`VerifyError::FromFuture`], [`VerifyError::TooOld`],
-    /// [`VerifyError::Replayed`], [`VerifyError::StreamsFull`], looked for in this order; nothing has
+    /// [`VerifyError::Replayed`], [`VerifyError::StreamsFull`], looked for in this order. Nothing has
     /// changed then.
     pub fn admit<'a>(
         &mut self,
@@ -199,15 +199,15 @@ impl<const N: usize> StreamTable<N> {
         Ok(())
     }
 
-    /// Remembers a frame that this end has signed and sends, so that it is rejected when it comes back: as
-    /// a replay, or, if there was no row left for it, as of a new stream.
+    /// Remembers a frame that this end has signed and sends, so that its reflection is rejected. It is then
+    /// a replay, or a frame of a new stream if there was no row left for it.
     ///
-    /// Rows are left until half of the table is taken in this way. After that, no new stream is taken of
-    /// the link that this end signs for.
+    /// Frames sent take rows until half of the table is taken in this way. After that, no new stream is
+    /// accepted on the link that this end signs for.
     ///
-    /// A peer may then sign for the link id that this end signs for, as ground stations do that take
-    /// over the link id they hear (pymavlink's with link id 0). An unsigned frame, and one of a link
-    /// that is not taken, change nothing.
+    /// So a peer may sign for the link id that this end signs for. Ground stations do that take over the
+    /// link id they hear, such as pymavlink's with link id 0. An unsigned frame, and one of a link that is
+    /// not accepted, change nothing.
     pub fn record_sent(&mut self, frame: FrameRef<'_>) {
         let Some(stamp) = frame.signature().map(|signature| signature.stamp) else {
             return;
@@ -228,7 +228,7 @@ impl<const N: usize> StreamTable<N> {
         }
     }
 
-    /// Takes no new stream of `link_id` from now on.
+    /// Accepts no new stream on `link_id` from now on.
     fn close(&mut self, link_id: u8) {
         self.closed = match self.closed {
             None => Some(Links::Only(link_id)),
@@ -252,5 +252,19 @@ impl<const N: usize> StreamTable<N> {
         }
         self.closed = closed;
         self
+    }
+
+    /// For proofs: how many rows were taken for frames that this end sent.
+    #[cfg(kani)]
+    #[must_use]
+    pub fn own_rows(&self) -> usize {
+        self.rows.iter().filter(|row| row.own).count()
+    }
+
+    /// For proofs: the first timestamp that is fresh in every stream.
+    #[cfg(kani)]
+    #[must_use]
+    pub const fn floor(&self) -> Option<Timestamp> {
+        self.first.first()
     }
 }

@@ -8,9 +8,9 @@ pub const TICKS_PER_SECOND: u64 = 100_000;
 
 /// How far beyond the timestamps in use a mark is stored at most: 10 seconds, in ticks of 10 microseconds.
 ///
-/// For so long an end may reject honest frames after a restart; twice as long would wear the flash half as
-/// much. No more than half of [`Window::ONE_MINUTE`]'s `ahead`, so that what is stamped from the mark on is
-/// accepted at once.
+/// An end may reject honest frames for so long after a restart. Twice as long would wear the flash half as
+/// much. It is at most half of [`Window::ONE_MINUTE`]'s `ahead`, so that frames stamped from the mark on
+/// are accepted at once.
 pub const RESERVATION: u64 = 10 * TICKS_PER_SECOND;
 
 const _: () = assert!(RESERVATION <= Window::ONE_MINUTE.ahead / 2);
@@ -119,8 +119,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// 10 seconds (1,000,000 ticks) into the past, nothing into the future: the window of the project
-    /// that this one grew from, hence its name.
+    /// 10 seconds (1,000,000 ticks) into the past, nothing into the future.
     ///
     /// The core's default. It needs a clock that both ends share: a sender whose clock is one tick
     /// ahead of the receiver's is rejected.
@@ -132,8 +131,8 @@ impl Window {
     /// 60 seconds (6,000,000 ticks) either way: the window of a link whose ends remember a mark.
     ///
     /// Past: the minute that the MAVLink guide gives a sender ("Message Signing", Timestamp Handling).
-    /// Ahead: for the [`RESERVATION`] that a sender skips at a restart, for bursts, in which stamps run ahead
-    /// of the clock by a tick a frame, and for clocks that drift.
+    /// Ahead: for the [`RESERVATION`] that a sender skips at a restart, and for clocks that drift. Also for
+    /// bursts, in which stamps run ahead of the clock by a tick a frame.
     pub const ONE_MINUTE: Self = Self {
         past: 60 * TICKS_PER_SECOND,
         ahead: 60 * TICKS_PER_SECOND,
@@ -161,17 +160,17 @@ impl Window {
 pub struct Stamp {
     /// The link, and with it the direction, that the frame is sent on.
     pub link_id: u8,
-    /// When it is sent; by one sender never the same twice under one key and link id.
+    /// When it is sent. One sender must never use it twice under one key and link id.
     pub timestamp: Timestamp,
 }
 
 /// Gives each frame of one link a timestamp greater than every one before it.
 ///
-/// The clock is asked at every frame, so stamps do not fall behind while nothing is sent; two
-/// frames within a tick get two stamps (MAVLink guide, "Message Signing", Timestamp Handling).
+/// The clock is asked at every frame, so stamps do not fall behind while nothing is sent. Two frames within
+/// a tick get two stamps (MAVLink guide, "Message Signing", Timestamp Handling).
 ///
-/// It is not copied: a copy would give the same stamps again. In a burst it runs ahead of the clock
-/// by a tick a frame, which a receiver with [`Window::STRICT`] rejects until its clock has come after.
+/// It is not copied: a copy would give the same stamps again. In a burst it runs ahead of the clock by a
+/// tick a frame. A receiver with [`Window::STRICT`] rejects such frames until its clock has caught up.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Stamper {
     link_id: u8,
@@ -185,7 +184,7 @@ impl Stamper {
         Self::resume(link_id, Timestamp::ZERO)
     }
 
-    /// Stamps for `link_id`, none before `first`: for a sender that kept a mark over a restart.
+    /// Stamps for `link_id`, none before `first`: for a sender that kept a high-water mark over a restart.
     #[must_use]
     pub const fn resume(link_id: u8, first: Timestamp) -> Self {
         Self {
@@ -200,8 +199,8 @@ impl Stamper {
         self.link_id
     }
 
-    /// The stamp of a frame that is sent `now`: the clock, or one more than the last stamp if the
-    /// clock has not moved past it.
+    /// The stamp of a frame that is sent `now`: the clock, or one more than the last stamp, whichever is
+    /// later.
     ///
     /// # Errors
     ///

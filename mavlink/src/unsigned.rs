@@ -24,8 +24,8 @@ pub struct Claim {
 
 /// Which unsigned frames may be acted on (MAVLink guide, "Message Signing", Accepting Unsigned Packets).
 ///
-/// It is asked about undamaged frames without signature alone: a frame whose signature is wrong or
-/// that was seen before is rejected without asking. Any `Fn(Claim) -> bool` is a policy.
+/// It is asked only about undamaged frames without signature. A frame with a wrong signature, or one seen
+/// before, is rejected without asking. Any `Fn(Claim) -> bool` is a policy.
 pub trait UnsignedPolicy {
     /// Whether a frame that says this of itself may be acted on.
     fn accepts(&self, claim: Claim) -> bool;
@@ -59,8 +59,8 @@ impl UnsignedPolicy for AllowRadioStatus {
     }
 }
 
-/// Everything that comes in on one link, which nobody else can reach: a cable. In a relay that is all of
-/// its link side.
+/// Every unsigned frame of one link, which must be one that nobody else can reach: a cable. In a relay the
+/// link is its whole link side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AllowLink {
     /// The link, as the receiver numbers it.
@@ -108,14 +108,14 @@ impl<'a> Unsigned<'a> {
     }
 }
 
-/// Lets a frame without signature through if it is undamaged and `policy` accepts it. `link_id` is
-/// that of the link on which it came in.
+/// Accepts a frame without signature if it is undamaged and `policy` accepts it. `link_id` is that of the
+/// link on which it came in.
 ///
 /// # Errors
 ///
-/// [`VerifyError::Signed`]: the frame carries a signature, so it is to be authenticated and not asked
-/// about. [`VerifyError::UnknownMessage`], [`VerifyError::BadChecksum`]. [`VerifyError::NotSigned`]:
-/// the policy does not accept it.
+/// [`VerifyError::Signed`]: the frame carries a signature, so it must be authenticated instead.
+/// [`VerifyError::UnknownMessage`], [`VerifyError::BadChecksum`]. [`VerifyError::NotSigned`]: the policy
+/// does not accept it.
 pub fn accept_unsigned<'a>(
     frame: FrameRef<'a>,
     link_id: u8,

@@ -37,13 +37,13 @@ impl Authentic<'_> {
 /// A frame to act on: signed with the key, for this link, inside the window, and newer than every
 /// frame accepted before.
 ///
-/// Made by [`ReplayGuard::admit`] and [`StreamTable::admit`](crate::StreamTable::admit) alone, and not copied, so that
-/// it is acted on once.
+/// Made by [`ReplayGuard::admit`](crate::ReplayGuard::admit) and
+/// [`StreamTable::admit`](crate::StreamTable::admit) alone. It is not copied, so that it is acted on once.
 #[derive(Debug)]
 pub struct Verified<'a>(Authentic<'a>);
 
 impl<'a> Verified<'a> {
-    /// Only for what admits a frame.
+    /// Only for code that admits a frame.
     pub(crate) const fn new(frame: Authentic<'a>) -> Self {
         Self(frame)
     }
@@ -78,8 +78,7 @@ impl<'a> Verified<'a> {
         Frame::copy_of(self.0.frame, self.0.crc_extra)
     }
 
-    /// The same frame for a link without signing: signature removed, flag cleared, checksum
-    /// computed anew.
+    /// The same frame for a link without signing: signature removed, flag cleared, checksum recomputed.
     #[must_use]
     pub fn to_unsigned(&self) -> Frame {
         let payload = self.payload();

@@ -95,13 +95,35 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
+    use crate::model::{any_checksum, any_prefix};
 
     #[kani::proof]
     #[kani::unwind(9)]
     fn c1_step_is_bitwise() {
         let (crc, byte) = (kani::any(), kani::any());
-        kani::cover!(step(crc, byte) == 0x6F91, "the check value");
         step_is_bitwise(crc, byte);
+        kani::cover!(step(crc, byte) == 0x6F91, "the check value");
+    }
+
+    /// What stands for the checksum in other harnesses: the same answer to the same question, and to two
+    /// different ones any two answers.
+    #[kani::proof]
+    #[kani::unwind(10)]
+    fn c1_stand_in_tells_questions_apart() {
+        let (one, other): ([u8; 9], [u8; 9]) = kani::any();
+        let (one, other) = (any_prefix(&one), any_prefix(&other));
+        let extras: [u8; 2] = kani::any();
+        let answers = [any_checksum(one, extras[0]), any_checksum(other, extras[1])];
+        assert_eq!(any_checksum(one, extras[0]), answers[0]);
+        if one == other && extras[0] == extras[1] {
+            assert_eq!(answers[0], answers[1]);
+        }
+        let same_but = |at: usize| one.len() == 9 && other.len() == 9 && one[at] != other[at];
+        let differ = answers[0] != answers[1];
+        kani::cover!(differ && same_but(0), "told by the first byte");
+        kani::cover!(differ && same_but(8), "told by the last byte");
+        kani::cover!(differ && extras[0] != extras[1], "told by CRC_EXTRA");
+        kani::cover!(differ && one.len() != other.len(), "told by the length");
     }
 
     fn whole<const LENGTH: usize>() {

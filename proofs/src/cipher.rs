@@ -17,11 +17,11 @@ pub enum Verdict {
     Fails,
 }
 
-/// A cipher whose output is its input, bit for bit turned over, with nonce and tag mixed in: whoever
-/// knows the output knows what was asked. Its verdict is chosen with the key.
+/// A cipher whose output is its input with every bit turned over, and nonce and tag mixed in. The output
+/// tells what was asked. Its verdict is chosen with the key.
 ///
 /// It decrypts before it looks at the tag, as an implementation may. With any verdict it is any cipher
-/// as far as acceptance goes: an over-approximation. It keeps nothing secret.
+/// as far as acceptance goes: it over-approximates. It keeps nothing secret.
 #[derive(Debug)]
 pub struct Told(Verdict);
 

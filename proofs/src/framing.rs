@@ -6,7 +6,7 @@ use mavlink_commsec::hx::{
 };
 
 /// F1, from any state of the decoder: of a frame's bytes on the line, the first and the last alone are
-/// boundaries, and there are at most 203; the decoder gives the frame with the last byte, and nothing
+/// boundaries. There are at most 203. The decoder gives the frame with the last byte, and nothing
 /// between the first and the last. With the first byte it may give what was begun before.
 ///
 /// So whatever bytes came before, a whole frame is found.
@@ -38,9 +38,9 @@ fn is_special(byte: u8) -> bool {
     byte == FLAG || byte == ESCAPE
 }
 
-/// F1 and F2, from any state of the decoder: any byte is taken; a frame comes out with a boundary alone,
-/// and has 1 to 100 bytes; a frame that ends empty or behind an escape is dropped with a boundary, and
-/// one too long or with an unknown tag with another byte. Returns what came out.
+/// F1 and F2, from any state of the decoder: any byte is taken. A frame comes out with a boundary alone,
+/// and has 1 to 100 bytes. One that ends empty or behind an escape is dropped with a boundary. One too
+/// long or of an unknown kind is dropped with another byte. Returns what came out.
 ///
 /// # Errors
 ///

@@ -5,7 +5,7 @@ use mavlink_signing::{
     authenticate, sign_frame,
 };
 
-use crate::HEARTBEAT;
+use crate::model::HEARTBEAT;
 
 /// What may happen on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,7 +78,7 @@ impl Naive {
 }
 
 /// R1 and T1 in every history: the sender's stamps and the receiver's verdicts are those of a naive
-/// model; a frame with a changed bit is rejected. Returns how many frames were accepted.
+/// model. A frame with a changed bit is rejected. Returns how many frames were accepted.
 ///
 /// Both clocks begin 10 seconds after `start`; the window takes 10 seconds either way.
 ///

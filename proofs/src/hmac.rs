@@ -34,10 +34,10 @@ pub const fn calls(length: usize) -> usize {
     2 + (length + 9).div_ceil(64) + 1
 }
 
-/// S3: what was looked at is what RFC 2104 and FIPS 180-4 say: the key under ipad and opad, then
-/// the message with its padding and length after the inner key block, then its digest with padding
-/// and length after the outer key block; each call goes on from the right state. `outputs` are the
-/// states that the calls gave, whatever the compression function is.
+/// S3: what was looked at is what RFC 2104 and FIPS 180-4 say. The key comes first, under ipad and opad.
+/// The message follows the inner key block, with padding and length. Its digest follows the outer key
+/// block, with padding and length. Each call goes on from the right state. `outputs` are the states that
+/// the calls gave, whatever the compression function is.
 ///
 /// # Panics
 ///
@@ -80,7 +80,7 @@ pub const fn standard_calls(length: usize) -> usize {
 }
 
 /// S3 for the profile Standard: what was looked at is what FIPS 180-4 says of the key and then the
-/// message, with padding and length; each call goes on from the state before. `outputs` as above.
+/// message, with padding and length. Each call goes on from the state before. `outputs` as above.
 ///
 /// # Panics
 ///
@@ -118,8 +118,8 @@ pub fn tag_is_cut(outputs: &[[u32; 8]], tag: Tag) {
     assert_eq!(tag, [a, b, c, d, e, f]);
 }
 
-/// The byte at `at` of the padding that begins at `start`, of `hashed` bytes in all: a one bit,
-/// zeros, and the number of bits in the last 8 bytes of a block (FIPS 180-4, section 5.1.1).
+/// The byte at `at` of the padding that begins at `start`, of `hashed` bytes in all. The padding is a
+/// one bit, zeros, and the number of bits in the last 8 bytes of a block (FIPS 180-4, section 5.1.1).
 fn padding(at: usize, start: usize, hashed: usize) -> u8 {
     let end = (start + 9).div_ceil(64) * 64;
     if at == start {
@@ -253,8 +253,9 @@ mod tests {
         }
     }
 
-    /// The key of Hmac is absorbed once, when it is loaded; a frame of 3 bytes then costs two compressions
-    /// to sign and two to verify, with Standard one and one, a longer one what its length says.
+    /// The key of Hmac is absorbed once, when it is loaded. A frame of 3 bytes then costs two
+    /// compressions to sign and two to verify. With Standard it is one and one. A longer frame costs
+    /// what its length says.
     #[test]
     fn s3_compressions() {
         compressions::<Hmac<Recording>>(2, 4, |covered| calls(covered) - 2);
@@ -269,7 +270,7 @@ mod tests {
             timestamp: Timestamp::ZERO,
         };
         for length in 0..=255 {
-            let mut frame = Frame::new(crate::HEARTBEAT, &vec![7; length]).expect("a frame");
+            let mut frame = Frame::new(crate::model::HEARTBEAT, &vec![7; length]).expect("a frame");
             sign_frame(&mut frame, &key, stamp).expect("signed");
             let to_sign = CALLS.take().len();
             let received = FrameRef::parse(frame.as_bytes()).expect("a frame");

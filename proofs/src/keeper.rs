@@ -28,6 +28,10 @@ impl LinkClock for Model {
         self.now
     }
 
+    fn monotonic(&mut self) -> u64 {
+        self.now.ticks()
+    }
+
     fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
         if stamp.ticks() < self.mark {
             return Ok(());
@@ -51,8 +55,8 @@ impl Model {
     }
 }
 
-/// T1, over a restart, from any state: a stamp is given only with a mark above it stored, so that every
-/// stamp after a restart, whatever the clock shows then, is greater; when the mark cannot be stored, none is
+/// T1, over a restart, from any state: a stamp is given only with a mark above it stored. Every stamp
+/// after a restart is greater, whatever the clock shows then. When the mark cannot be stored, none is
 /// given and nothing has changed.
 ///
 /// # Errors
@@ -69,11 +73,12 @@ pub fn stamps<K: LinkClock>(
     after: Timestamp,
 ) -> Result<(), SignError> {
     let mut stamper = Stamper::resume(1, first);
-    let before = mark(keeper);
+    let (before, now) = (mark(keeper), keeper.now());
     let given = keeper.stamp(&mut stamper);
     match given {
         Ok(stamp) => {
-            assert!(stamp.timestamp >= first);
+            assert!(stamp.timestamp >= first.max(now));
+            assert_eq!(stamp.link_id, 1);
             assert!(mark(keeper) > stamp.timestamp.ticks());
             if let Some(floor) = Timestamp::from_ticks(mark(keeper)) {
                 let mut restarted = Stamper::resume(1, floor);
@@ -91,10 +96,10 @@ pub fn stamps<K: LinkClock>(
     }
 }
 
-/// R3, one step from any state: a frame is accepted only with a mark above its stamp stored, so that a
-/// receiver that starts at the mark, of one stream or of many, rejects it and everything before it, of this
-/// stream and of new ones; what is rejected stores nothing and changes nothing; a frame that cannot be
-/// remembered is rejected.
+/// R3, one step from any state: a frame is accepted only with a mark above its stamp stored. A receiver
+/// that starts at the mark, of one stream or of many, rejects it and everything before it. That holds
+/// for this stream and for new ones. What is rejected stores nothing and changes nothing. A frame that
+/// cannot be remembered is rejected.
 ///
 /// # Errors
 ///
@@ -164,7 +169,7 @@ fn rejects(mut receiver: impl AntiReplay, frame: Authentic<'_>, now: Timestamp) 
 fn signed<P: Profile>(key: &SigningKey<P>, stamp: Stamp) -> Frame {
     let header = Header {
         system_id: stamp.link_id,
-        ..crate::HEARTBEAT
+        ..crate::model::HEARTBEAT
     };
     let mut frame = Frame::new(header, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
@@ -276,7 +281,7 @@ mod tests {
 mod verification {
     use super::*;
     use crate::model::AnyTag;
-    use crate::replay::{any_stamp, any_timestamp};
+    use crate::model::{any_stamp, any_timestamp};
 
     fn any_model() -> Model {
         let mark = kani::any();

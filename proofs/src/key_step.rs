@@ -5,8 +5,8 @@ use mavlink_signing::{
     SigningKey, Stamp, Timestamp, Window, sign_frame,
 };
 
-use crate::HEARTBEAT;
-use crate::keys::{Model, bytes};
+use crate::key_memory::{Model, bytes, key};
+use crate::model::HEARTBEAT;
 
 /// Keys by their numbers, none of which is 0, which stands for a key of zeros; two different ones.
 #[derive(Clone, Copy, Debug)]
@@ -17,8 +17,19 @@ pub struct Before {
     pub old: u8,
     /// The new one; without meaning in [`RolloverState::Settled`].
     pub new: u8,
-    /// A frame with the new one was heard in this phase, and not confirmed yet.
-    pub heard: bool,
+    /// With which key a frame was heard in this phase, and not confirmed yet.
+    pub heard: Heard,
+}
+
+/// With which key the other end was heard since the last step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Heard {
+    /// Not at all.
+    Nothing,
+    /// With the key in use before the change.
+    Old,
+    /// With the new one.
+    New,
 }
 
 /// What an end is asked to do.
@@ -45,6 +56,13 @@ impl Before {
         }
     }
 
+    /// Whether the other end was heard with a new key that is not confirmed yet: then and only then the
+    /// end goes over to it.
+    fn is_due(self) -> bool {
+        let unconfirmed = matches!(self.phase, RolloverState::Offered | RolloverState::Applied);
+        unconfirmed && self.heard == Heard::New
+    }
+
     const fn signs(self) -> u8 {
         match self.phase {
             RolloverState::Settled | RolloverState::Offered => self.old,
@@ -55,13 +73,11 @@ impl Before {
     /// The state after a call: phase, keys; or why there is none. Nothing is stored if it is the same.
     fn after(self, call: Call) -> Result<(RolloverState, u8, u8), Rejected> {
         let Self {
-            phase,
-            old,
-            new,
-            heard,
+            phase, old, new, ..
         } = self;
         let same = Ok((phase, old, new));
         let newest = self.second().unwrap_or(old);
+        let heard = self.is_due();
         match call {
             Call::Offer(0) | Call::Apply(0) => Err(Rejected::Key),
             Call::Offer(key) if key == newest => same,
@@ -103,10 +119,11 @@ enum Rejected {
     NotOffered,
 }
 
-/// K1, one call at one end, from any state: it ends in the state that the rule says, or is rejected. What is
-/// stored is that state, before it has an effect; if it cannot be stored, or the call is rejected, nothing
-/// changes. In every state the end signs with the old key until it has heard the new one or was given it, and
-/// accepts each key that it may be sent: the old one until it is retired, the new one until it is given up.
+/// K1, one call at one end, from any state: it ends in the state that the rule says, or is rejected.
+/// What is stored is that state, before it has an effect; if it cannot be stored, or the call is
+/// rejected, nothing changes. In every state the end signs with the old key until it has heard the new
+/// one or was given it. It accepts each key that it may be sent: the old one until it is retired, the
+/// new one until it is given up. A frame under the old key is never taken for one under the new.
 ///
 /// `stores` says whether the memory does what it is told.
 ///
@@ -129,10 +146,12 @@ pub fn one_call<P: Profile>(
         heard,
     } = before;
     let mut keys = KeyRing::<P>::resume(key(old), key(new), phase);
-    if heard {
-        hears(&mut keys, new);
-        assert!(keys.confirm_pending());
+    match heard {
+        Heard::Nothing => {}
+        Heard::Old => hears(&mut keys, old),
+        Heard::New => hears(&mut keys, new),
     }
+    assert_eq!(keys.confirm_pending(), before.is_due());
     let mut memory = Model::holding(phase, old, new);
     if !stores {
         memory.fails();
@@ -157,11 +176,13 @@ pub fn one_call<P: Profile>(
     let (phase, old, new) = expected.1;
     assert_eq!(keys.rollover_state(), phase);
     assert_eq!(memory.stored(), (phase, old, new));
+    let due = matches!(phase, RolloverState::Offered | RolloverState::Applied) && before.is_due();
+    assert_eq!(keys.confirm_pending(), due);
     let after = Before {
         phase,
         old,
         new,
-        heard: false,
+        heard: Heard::Nothing,
     };
     assert_eq!(signed(keys.signing())[LAST], after.signs());
     let other = match call {
@@ -184,10 +205,6 @@ fn rejection(error: KeyChangeError) -> Option<Rejected> {
         KeyChangeError::NotOffered => Some(Rejected::NotOffered),
         _ => None,
     }
-}
-
-fn key<P: Profile>(number: u8) -> SigningKey<P> {
-    SigningKey::new(&bytes(number)).expect("not zeros")
 }
 
 /// Bytes of the frame that is signed here: nothing in it but its header.
@@ -222,15 +239,22 @@ fn hears<P: Profile>(keys: &mut KeyRing<P>, number: u8) {
 
 /// Every state, with `old` and `new` as they are given.
 #[cfg(any(test, kani))]
-fn states(old: u8, new: u8) -> [Before; 6] {
+fn states(old: u8, new: u8) -> [Before; 11] {
+    use Heard::{New, Nothing, Old};
     use RolloverState::{Applied, Confirmed, Offered, Settled};
     [
-        (Settled, false),
-        (Offered, false),
-        (Offered, true),
-        (Applied, false),
-        (Applied, true),
-        (Confirmed, false),
+        (Settled, Nothing),
+        (Offered, Nothing),
+        (Offered, New),
+        (Applied, Nothing),
+        (Applied, New),
+        (Confirmed, Nothing),
+        // Heard with another key than the one that counts, or once more.
+        (Offered, Old),
+        (Applied, Old),
+        (Confirmed, Old),
+        (Confirmed, New),
+        (Settled, Old),
     ]
     .map(|(phase, heard)| Before {
         phase,
@@ -274,8 +298,8 @@ mod verification {
     use super::*;
     use crate::model::AnyTag;
 
-    /// The key that is offered. It may be either of the others: of keys it matters only which are the same, so
-    /// that one number is as good as any, and known to the solver.
+    /// The key that is offered. It may be either of the others. Of keys it matters only which are the
+    /// same: one number, known to the solver, is as good as any.
     const NUMBER: u8 = 7;
 
     /// One call in the state with this number, which is known to the solver.
@@ -299,6 +323,24 @@ mod verification {
         )*};
     }
 
+    /// To go over is not rejected, and nothing happens, whatever the memory does.
+    macro_rules! stays {
+        ($($name:ident $state:literal;)*) => {$(
+            #[kani::proof]
+            #[kani::unwind(33)]
+            #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+            fn $name() {
+                assert_eq!(any_call::<$state>(|_| Call::Confirm), Ok(()));
+                kani::cover!(true, "nothing happens");
+            }
+        )*};
+    }
+
+    stays! {
+        k1_initiator_stays_when_heard_with_the_old 6;
+        k1_stays_when_heard_with_the_old 7;
+    }
+
     calls! {
         k1_offers_when_settled 0 Call::Offer;
         k1_offers_when_applied 3 Call::Offer;
@@ -311,6 +353,7 @@ mod verification {
         k1_initiator_goes_over_when_heard 2 |_| Call::Confirm;
         k1_goes_over_when_heard 4 |_| Call::Confirm;
         k1_retires_when_confirmed 5 |_| Call::Retire;
+        k1_withdraws_when_offered 1 |_| Call::Withdraw;
     }
 
     #[kani::proof]
@@ -319,6 +362,16 @@ mod verification {
     fn k1_takes_no_key_of_zeros() {
         let rejected = any_call::<0>(|_| Call::Apply(0));
         assert!(matches!(rejected, Err(KeyChangeError::Key(_))));
+        kani::cover!(true, "rejected");
+    }
+
+    /// An end that was heard with the new key has it: it is not taken back.
+    #[kani::proof]
+    #[kani::unwind(33)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+    fn k1_withdraws_no_more_when_heard() {
+        let rejected = any_call::<2>(|_| Call::Withdraw);
+        assert_eq!(rejected, Err(KeyChangeError::NotOffered));
         kani::cover!(true, "rejected");
     }
 

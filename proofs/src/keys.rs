@@ -1,12 +1,13 @@
 //! K1: while a key is changed, never are both ends deaf, and no key is used before it may be.
 
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, KEY_SIZE, KeyChange, KeyChangeError, KeyRing, KeyStore,
-    NotStored, Profile, ReplayGuard, RolloverState, SigningKey, Stamp, Timestamp, Window,
-    sign_frame,
+    Authenticate, Frame, FrameRef, KeyChangeError, KeyRing, Profile, ReplayGuard, RolloverState,
+    Stamp, Timestamp, Window, sign_frame,
 };
 
-use crate::HEARTBEAT;
+use crate::key_memory::{FIRST, key};
+pub use crate::key_memory::{Memory, Model, bytes};
+use crate::model::HEARTBEAT;
 
 /// Which end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,147 +42,6 @@ pub enum Event {
     Restart(Side),
     /// The next thing that the end stores is not; `true`: it is found after a restart all the same.
     Fail(Side, bool),
-}
-
-/// Where an end keeps its keys.
-pub trait Memory: KeyStore {
-    /// The keys after a restart.
-    fn restart<P: Profile>(&mut self) -> KeyRing<P>;
-
-    /// The next store fails, and may leave a trace.
-    fn fail(&mut self, trace: bool);
-}
-
-/// A memory that holds the numbers of the keys.
-#[derive(Clone, Copy, Debug)]
-pub struct Model {
-    stored: Stored,
-    /// What a failed store has left.
-    trace: Option<Stored>,
-    failing: Option<bool>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Stored {
-    phase: RolloverState,
-    old: u8,
-    new: u8,
-}
-
-impl Model {
-    /// A memory with the first key.
-    #[must_use]
-    pub const fn new() -> Self {
-        Self {
-            stored: Stored {
-                phase: RolloverState::Settled,
-                old: FIRST,
-                new: FIRST,
-            },
-            trace: None,
-            failing: None,
-        }
-    }
-}
-
-impl Model {
-    /// A memory in the middle of a change.
-    pub(crate) const fn holding(phase: RolloverState, old: u8, new: u8) -> Self {
-        let mut model = Self::new();
-        model.stored = Stored { phase, old, new };
-        model
-    }
-
-    /// Phase, old and new key; settled, one key is both.
-    pub(crate) fn stored(&self) -> (RolloverState, u8, u8) {
-        let Stored { phase, old, new } = self.stored;
-        (
-            phase,
-            old,
-            if phase == RolloverState::Settled {
-                old
-            } else {
-                new
-            },
-        )
-    }
-
-    /// The next store fails, and leaves nothing.
-    pub(crate) const fn fails(&mut self) {
-        self.failing = Some(false);
-    }
-}
-
-impl Default for Model {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl KeyStore for Model {
-    fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored> {
-        let Stored { phase, old, new } = self.stored;
-        let next = match change {
-            KeyChange::Begin(key, phase) => Stored {
-                phase,
-                old,
-                new: key[0],
-            },
-            KeyChange::Confirm => Stored {
-                phase: RolloverState::Confirmed,
-                old,
-                new,
-            },
-            KeyChange::Retire => Stored {
-                phase: RolloverState::Settled,
-                old: new,
-                new,
-            },
-            KeyChange::Withdraw => Stored {
-                phase: RolloverState::Settled,
-                old,
-                new: old,
-            },
-        };
-        assert!(phase != RolloverState::Settled || matches!(change, KeyChange::Begin(..)));
-        match self.failing.take() {
-            None => {
-                self.stored = next;
-                self.trace = None;
-                Ok(())
-            }
-            Some(trace) => {
-                self.trace = trace.then_some(next);
-                Err(NotStored)
-            }
-        }
-    }
-}
-
-impl Memory for Model {
-    fn restart<P: Profile>(&mut self) -> KeyRing<P> {
-        self.stored = self.trace.take().unwrap_or(self.stored);
-        self.failing = None;
-        let Stored { phase, old, new } = self.stored;
-        KeyRing::resume(key(old), key(new), phase)
-    }
-
-    fn fail(&mut self, trace: bool) {
-        self.failing = Some(trace);
-    }
-}
-
-/// The number of the key that both ends begin with.
-const FIRST: u8 = 1;
-
-/// The bytes of key `number`.
-#[must_use]
-pub const fn bytes(number: u8) -> [u8; KEY_SIZE] {
-    [number; KEY_SIZE]
-}
-
-fn key<P: Profile>(number: u8) -> SigningKey<P> {
-    SigningKey::new(&bytes(number)).expect("not zeros")
 }
 
 /// A frame, and the number of the key that it is signed with.
@@ -255,10 +115,11 @@ impl<P: Profile, M: Memory> End<P, M> {
     }
 }
 
-/// K1 in every history: at no moment are both ends deaf to each other; without a withdrawal neither is; the
-/// initiator signs with a new key only when it has heard it, the responder only when it was given it; an old
-/// key is dropped by `Retire` alone, which is rejected until the other end was heard with the new one; what is
-/// rejected changes nothing. Returns how many changes were brought to their end, at both ends.
+/// K1 in every history: at no moment are both ends deaf to each other; without a withdrawal neither is.
+/// The initiator signs with a new key only when it has heard it, the responder only when it was given
+/// it. An old key is dropped by `Retire` alone, which is rejected until the other end was heard with the
+/// new one. What is rejected changes nothing. Returns how many changes were brought to their end, at
+/// both ends.
 ///
 /// # Panics
 ///
@@ -417,7 +278,7 @@ pub const CHANGE: [Event; 10] = [
 mod tests {
     use super::*;
     use crate::model::AnyTag;
-    use mavlink_signing::Hmac;
+    use mavlink_signing::{Hmac, KeyChange, KeyStore, NotStored};
     use mavseal_relay::{FlashKeyStore, KEYS_SIZE};
     use mavseal_store::{
         Region,

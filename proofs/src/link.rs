@@ -200,10 +200,10 @@ fn message(number: usize) -> Plaintext {
     core::array::from_fn(|at| (number * 31 + at) as u8)
 }
 
-/// O1, N1 and F1 in every history: no nonce is used twice, whoever restarts; no end accepts a package
-/// twice, or one that was not made for it, or one that was damaged; and every package that arrives intact
-/// and is newer than those accepted of its sender is accepted, with the message that was sealed. Returns
-/// how many were accepted.
+/// O1, N1 and F1 in every history: no nonce is used twice, whichever end restarts. No end accepts a
+/// package twice, or one that was not made for it, or one that was damaged. Every package that arrives
+/// intact, and is newer than those accepted of its sender, is accepted, with the message that was
+/// sealed. Returns how many were accepted.
 ///
 /// Every end counts from `first`, or begins with an epoch that is made of it.
 ///

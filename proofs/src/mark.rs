@@ -28,8 +28,8 @@ pub struct Small {
 pub struct Cut {
     /// Words written and pages erased before; in the next one the power fails.
     pub after: u8,
-    /// What becomes of the word, or of the words of the page; by its remainder of 4: as it was, as it was
-    /// to be, unreadable, or readable in the next run and in no other.
+    /// What becomes of the word, or of the words of the page. By its remainder of 4: as it was, as it
+    /// was to be, unreadable, or readable in the next run alone.
     pub left: [u8; PAGE],
 }
 
@@ -70,8 +70,8 @@ impl Default for Small {
 }
 
 impl Small {
-    /// Power on, until `cut`. After a cut that left a word readable for a while, the next one leaves none:
-    /// if every record of a page were of that kind, one after the other, none could be relied on.
+    /// Power on, until `cut`. After a cut that left a word readable for a while, the next one leaves
+    /// none. If every record of a page were of that kind, none could be relied on.
     pub fn restart(&mut self, mut cut: Cut) {
         if self.words.iter().any(|word| word.state == State::Weak) {
             for left in &mut cut.left {
@@ -186,10 +186,10 @@ impl NorFlash for Small {
     }
 }
 
-/// T2, over runs that end wherever the power fails: the mark that a run finds is above every value that was
-/// used in any run before; a value is used only below the mark; the mark is rejected only when there is no
-/// power, and stays then. A start after the last run finds such a mark too. Returns the last value that
-/// was used, and that mark.
+/// T2, over runs that end wherever the power fails: the mark that a run finds is above every value that
+/// was used in any run before. A value is used only below the mark. The mark is rejected only when there
+/// is no power, and stays then. A start after the last run finds such a mark too. Returns the last value
+/// that was used, and that mark.
 ///
 /// A run takes `uses` values, the first of them the mark itself, each one more than the one before.
 ///
@@ -292,8 +292,9 @@ mod tests {
 mod verification {
     use super::*;
 
-    /// A run fills a page with two marks; in the next, the power fails at step `AT`, whatever is left of the
-    /// word, or of the page: the steps before are then known to the solver. Gives the mark that is found.
+    /// A run fills a page with two marks. In the next, the power fails at step `AT`, whatever is left of
+    /// the word, or of the page. The steps before are then known to the solver. Gives the mark that is
+    /// found.
     fn cut_at<const AT: u8>() -> u64 {
         let cut = |after, left| Cut { after, left };
         let cuts = [cut(u8::MAX, [0; PAGE]), cut(AT, kani::any())];

@@ -1,9 +1,19 @@
 //! Stand-ins for the two costly functions, so that a proof can range over every frame.
 
 use core::cell::Cell;
-use core::sync::atomic::{AtomicU16, AtomicUsize, Ordering};
 
-use mavlink_signing::{KEY_SIZE, Profile, ReplayGuard, Tag, Timestamp, Window, ZeroizeOnDrop};
+use mavlink_signing::{
+    Header, KEY_SIZE, MessageId, Profile, ReplayGuard, Tag, Timestamp, Window, ZeroizeOnDrop,
+};
+
+/// The header of a HEARTBEAT, which every dialect has; no two fields alike.
+pub(crate) const HEARTBEAT: Header = Header {
+    compat_flags: 2,
+    sequence: 3,
+    system_id: 4,
+    component_id: 5,
+    message_id: MessageId::from_le_bytes([0, 0, 0]),
+};
 
 /// A state that a receiver can be resumed in. Unlike the receiver it can be copied, so that what comes
 /// after a step can be compared with what was before.
@@ -35,15 +45,15 @@ impl Resumed {
                 past: kani::any(),
                 ahead: kani::any(),
             },
-            first: crate::replay::any_timestamp(),
+            first: any_timestamp(),
         }
     }
 }
 
 /// A profile whose tag is the first 6 bytes of the key, whatever is covered.
 ///
-/// For a key of any value that is any tag at all, which includes the one a real hash would give:
-/// an over-approximation of every profile. It says nothing about which bytes are covered.
+/// For a key of any value that is any tag at all, among them the one that a real hash would give. It
+/// over-approximates every profile. It says nothing about which bytes are covered.
 #[derive(Debug)]
 pub struct AnyTag(Tag);
 
@@ -107,55 +117,57 @@ impl Profile for Witness {
     }
 }
 
-/// What [`any_checksum`] returns.
-static CHECKSUM: AtomicU16 = AtomicU16::new(0);
+/// The checksum that the harnesses see.
+#[cfg(kani)]
+pub(crate) use oracle::{any_checksum, checksum_calls};
 
-/// Sets what [`any_checksum`] returns from now on.
-pub fn set_checksum(checksum: u16) {
-    CHECKSUM.store(checksum, Ordering::Relaxed);
-}
+/// Stands for [`mavlink_signing::crc::checksum`]: equal results for equal questions, and any for others.
+#[cfg(kani)]
+mod oracle {
+    use core::sync::atomic::{AtomicU16, AtomicUsize, Ordering::Relaxed};
 
-/// Stands for [`mavlink_signing::crc::checksum`]: one value, the same at every call.
-///
-/// For any value that has been set it is any checksum at all, an over-approximation; the code and
-/// the property see the same one.
-#[must_use]
-pub fn any_checksum(_covered: &[u8], _crc_extra: u8) -> u16 {
-    CHECKSUM.load(Ordering::Relaxed)
-}
+    /// The place whose byte tells one question from another; any, and the same for all questions of a run.
+    static PLACE: AtomicUsize = AtomicUsize::new(0);
+    static CALLS: AtomicUsize = AtomicUsize::new(0);
+    /// The questions that were asked; 0 is none.
+    static FIRST: AtomicUsize = AtomicUsize::new(0);
+    static SECOND: AtomicUsize = AtomicUsize::new(0);
+    /// What was answered.
+    static ANSWERS: [AtomicU16; 2] = [AtomicU16::new(0), AtomicU16::new(0)];
 
-/// Calls of [`one_checksum`], and where the bytes of the first began and how many they were.
-static CALLS: AtomicUsize = AtomicUsize::new(0);
-static START: AtomicUsize = AtomicUsize::new(0);
-static LENGTH: AtomicUsize = AtomicUsize::new(0);
-static EXTRA: AtomicUsize = AtomicUsize::new(0);
-
-/// Like [`any_checksum`], and asserts that every call of a run is about the same bytes, at the same
-/// place, with the same CRC_EXTRA.
-///
-/// # Panics
-///
-/// If they are not.
-#[must_use]
-pub fn one_checksum(covered: &[u8], crc_extra: u8) -> u16 {
-    let (start, length) = (covered.as_ptr() as usize, covered.len());
-    if checksum_calls() == 0 {
-        START.store(start, Ordering::Relaxed);
-        LENGTH.store(length, Ordering::Relaxed);
-        EXTRA.store(crc_extra.into(), Ordering::Relaxed);
-    } else {
-        assert_eq!(START.load(Ordering::Relaxed), start);
-        assert_eq!(LENGTH.load(Ordering::Relaxed), length);
-        assert_eq!(EXTRA.load(Ordering::Relaxed), usize::from(crc_extra));
+    /// A question is told by its length, its CRC_EXTRA and the byte at a place that may be any. Two
+    /// different ones differ there for some place, and their answers are then free of each other. So of
+    /// two questions, the checksum is any function at all. A third is not taken.
+    pub(crate) fn any_checksum(covered: &[u8], crc_extra: u8) -> u16 {
+        if CALLS.load(Relaxed) == 0 {
+            PLACE.store(kani::any(), Relaxed);
+        }
+        CALLS.store(CALLS.load(Relaxed) + 1, Relaxed);
+        let byte = covered.get(PLACE.load(Relaxed)).copied().unwrap_or(0);
+        let question =
+            covered.len() << 17 | usize::from(crc_extra) << 9 | usize::from(byte) << 1 | 1;
+        answer_of(&FIRST, question, 0)
+            .or_else(|| answer_of(&SECOND, question, 1))
+            .expect("at most two questions")
     }
-    CALLS.store(checksum_calls() + 1, Ordering::Relaxed);
-    any_checksum(covered, crc_extra)
-}
 
-/// How often [`one_checksum`] was called.
-#[must_use]
-pub fn checksum_calls() -> usize {
-    CALLS.load(Ordering::Relaxed)
+    /// The answer, if `slot` is free or holds this question.
+    fn answer_of(slot: &AtomicUsize, question: usize, index: usize) -> Option<u16> {
+        match slot.load(Relaxed) {
+            0 => {
+                slot.store(question, Relaxed);
+                ANSWERS[index].store(kani::any(), Relaxed);
+            }
+            held if held == question => {}
+            _ => return None,
+        }
+        Some(ANSWERS[index].load(Relaxed))
+    }
+
+    /// How often it was asked.
+    pub(crate) fn checksum_calls() -> usize {
+        CALLS.load(Relaxed)
+    }
 }
 
 /// The first bytes of `all`, any number of them. As good as any slice where the bytes are any bytes,
@@ -166,3 +178,44 @@ pub(crate) fn any_prefix(all: &[u8]) -> &[u8] {
     kani::assume(length <= all.len());
     &all[..length]
 }
+
+/// Any timestamp there is.
+#[cfg(kani)]
+pub(crate) fn any_timestamp() -> Timestamp {
+    Timestamp::from_wire(kani::any())
+}
+
+/// Any link and any timestamp.
+#[cfg(kani)]
+pub(crate) fn any_stamp() -> mavlink_signing::Stamp {
+    mavlink_signing::Stamp {
+        link_id: kani::any(),
+        timestamp: any_timestamp(),
+    }
+}
+
+/// Any key but one of zeros, of the profile whose tag is its beginning.
+#[cfg(kani)]
+pub(crate) fn any_key() -> mavlink_signing::SigningKey<AnyTag> {
+    let mut secret: [u8; KEY_SIZE] = kani::any();
+    secret[31] = 1;
+    mavlink_signing::SigningKey::new(&secret).expect("not zeros")
+}
+
+/// One harness for each payload length, with a bound on its loops: what is copied has then a length
+/// that the solver knows, or nearly.
+#[cfg(kani)]
+macro_rules! for_payload_lengths {
+    ($check:ident: $($name:ident $length:literal unwind $unwind:literal,)*) => {
+        $(
+            #[kani::proof]
+            #[kani::unwind($unwind)]
+            #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+            fn $name() {
+                $check::<$length>();
+            }
+        )*
+    };
+}
+#[cfg(kani)]
+pub(crate) use for_payload_lengths;

@@ -1,7 +1,7 @@
 //! O1 and O2: a package is accepted once and in order, and nothing of it is seen before.
 //!
 //! That [`Opened`](mavlink_commsec::Opened) comes from nowhere else, and counts once, is a matter of
-//! types: these programs must not compile, and each differs in one line from one that does.
+//! types. These programs must not compile, and each differs in one line from one that does.
 //!
 //! ```
 //! use mavlink_commsec::{OpenError, Opened, Opener};
@@ -61,12 +61,12 @@ pub struct Row<I, P> {
 /// Both senders, as a receiver knows them.
 type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Sequence>>; 2];
 
-/// O1, one step from any state: a package is accepted if and only if it has 96 bytes, its sender is
-/// permitted, its counter (and epoch) is one that senders use, it is newer than the last accepted of him,
-/// his key has not had too many wrong tags, and its tag is right; otherwise the error names the first that
-/// is wrong. What is accepted is then the last of its sender, and the same again is rejected; of other
-/// senders nothing changes. What is rejected changes nothing, but a wrong tag is counted, once, for everybody
-/// who has that key.
+/// O1, one step from any state: a package is accepted if and only if all of these hold. It has 96 bytes,
+/// its sender is permitted, and its counter (and epoch) is one that senders use. It is newer than the
+/// last accepted of him, his key has not had too many wrong tags, and its tag is right. Otherwise the
+/// error names the first that is wrong. What is accepted is then the last of its sender, and the same
+/// again is rejected; of other senders nothing changes. What is rejected changes nothing, but a wrong
+/// tag is counted, once, for everybody who has that key.
 ///
 /// Every history is a sequence of such steps, so each package is accepted at most once in every
 /// history. `right` tells whether the cipher takes the tag for right; `shared` whether the second sender
@@ -170,10 +170,10 @@ fn specified<H: Specified>(
     }
 }
 
-/// O2: a message comes out if and only if the cipher has found the tag right; it is then what the
-/// cipher has made of exactly the sealed message, the tag and the nonce of the package, which are salt
-/// and header; and it comes with the header's sender and counter. The cipher decrypts before its verdict,
-/// and all the same nothing comes out with a wrong tag.
+/// O2: a message comes out if and only if the cipher has found the tag right. It is then what the cipher
+/// has made of exactly the sealed message, the tag, and the nonce of salt and header. It comes with the
+/// header's sender and counter. The cipher decrypts before its verdict, and all the same nothing comes
+/// out with a wrong tag.
 ///
 /// `at` is an index below 80 at which the message is looked at. Returns whether it came out.
 ///

@@ -1,11 +1,16 @@
 //! W3: the decoder, one step and whole streams.
 
-use mavlink_signing::field::MAX_FRAME_SIZE;
+use core::cell::Cell;
+
+use mavlink_signing::field::{MAGIC_V1, MAX_FRAME_SIZE};
 use mavlink_signing::{DecodeError, Decoder, MessageId, Packet, ParseError, Resync, dialect};
 
-/// W3, one step: whatever stands at the front of the decoder's buffer is a packet that lies in it,
-/// a fault, or too short; it is never too short when the buffer is full, so the decoder always goes
-/// on. Returns what it is, and the packet's length.
+use crate::wire::checksum_is_right;
+
+/// W3, one step: whatever stands at the front of the decoder's buffer is a packet that lies in it, a
+/// fault, or too short. It is never too short when the buffer is full, so the decoder always goes on. A
+/// packet is known, and both bytes of its checksum are right; a fault says what is wrong. Returns what
+/// it is, and the packet's length.
 ///
 /// # Errors
 ///
@@ -18,9 +23,22 @@ pub fn front(
     buffer: &[u8],
     crc_extra: impl FnOnce(MessageId) -> Option<u8>,
 ) -> Result<usize, DecodeError> {
-    let parsed = Packet::parse(buffer, crc_extra);
+    let asked = Cell::new(None);
+    let parsed = Packet::parse(buffer, |id| {
+        let extra = crc_extra(id);
+        asked.set(Some((id, extra)));
+        extra
+    });
+    let right = match asked.get() {
+        Some((id, Some(extra))) => {
+            assert_eq!(id, id_of(buffer));
+            Some(checksum_is_right(buffer, extra))
+        }
+        _ => None,
+    };
     match parsed {
         Ok(packet) => {
+            assert_eq!(right, Some(true));
             let length = packet.as_bytes().len();
             assert!((8..=MAX_FRAME_SIZE).contains(&length));
             assert!(length <= buffer.len());
@@ -37,8 +55,25 @@ pub fn front(
         Err(error) => {
             let truncated = error == DecodeError::Parse(ParseError::Truncated);
             assert!(!truncated || buffer.len() < MAX_FRAME_SIZE);
+            match error {
+                DecodeError::UnknownMessage(id) => assert_eq!(asked.get(), Some((id, None))),
+                DecodeError::BadChecksum(id) => {
+                    assert_eq!(right, Some(false));
+                    assert_eq!(id, id_of(buffer));
+                }
+                _ => assert_eq!(asked.get(), None),
+            }
             Err(error)
         }
+    }
+}
+
+/// Which message the packet at the front of `bytes` carries, of either version.
+fn id_of(bytes: &[u8]) -> MessageId {
+    if bytes[0] == MAGIC_V1 {
+        bytes[5].into()
+    } else {
+        MessageId::from_le_bytes([bytes[7], bytes[8], bytes[9]])
     }
 }
 
@@ -54,9 +89,9 @@ pub fn takes(decoder: &mut Decoder, byte: u8) {
     assert_eq!(decoder.room(), room - taken);
 }
 
-/// W3, out: whatever the decoder holds, what it completes parses; every byte is then kept, in the
-/// packet, or counted as dropped; and when nothing comes out there is room for the next byte. Returns
-/// what came out, and its length.
+/// W3, out: whatever the decoder holds, what it completes parses. Every byte is then kept, in the
+/// packet, or counted as dropped. When nothing comes out there is room for the next byte. Returns what
+/// came out, and its length.
 ///
 /// # Errors
 ///
@@ -88,7 +123,7 @@ pub fn gives(
     found
 }
 
-/// W3, a whole stream: however it is cut, the same packets and faults come out, and every byte is in a
+/// W3, a whole stream: however it is cut, the same packets and faults come out. Every byte is in a
 /// packet or counted as dropped. `cuts` are the lengths of the pieces, repeated; the line is silent at
 /// the end.
 ///
@@ -133,8 +168,8 @@ fn read_all(decoder: &mut Decoder, found: &mut Vec<Result<Vec<u8>, DecodeError>>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use mavlink_signing::Frame;
     use mavlink_signing::dialect::crc_extra;
+    use mavlink_signing::{Frame, Hmac, SigningKey, Stamp, Timestamp, sign_frame};
     use proptest::prelude::*;
 
     /// A HEARTBEAT of MAVLink 1.
@@ -143,7 +178,7 @@ mod tests {
     /// Noise is passed over as far as the next packet, of either version, and no farther.
     #[test]
     fn w3_behind_noise() {
-        let frame = Frame::new(crate::HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        let frame = Frame::new(crate::model::HEARTBEAT, &[1, 2, 3]).expect("a frame");
         let noise = b"noise".to_vec();
         for packet in [frame.as_bytes(), &MAVLINK1] {
             let stream = [&noise, packet].concat();
@@ -151,6 +186,30 @@ mod tests {
                 let found = decode(resync, &stream, &[]);
                 assert_eq!(found, [Ok(packet.to_vec())]);
                 cut_does_not_matter(resync, &stream, &[1]);
+            }
+        }
+    }
+
+    /// Each bit of a packet of either version, but of what says how long it is: none parses.
+    #[test]
+    fn w3_each_bit() {
+        let frame = Frame::new(crate::model::HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        let mut signed = frame.clone();
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let stamp = Stamp {
+            link_id: 1,
+            timestamp: Timestamp::ZERO,
+        };
+        sign_frame(&mut signed, &key, stamp).expect("not signed yet");
+        // A checksum says nothing about the signature behind it.
+        let checked = &signed.as_bytes()[..signed.as_bytes().len() - 13];
+        for (packet, behind) in [(frame.as_bytes(), 0), (checked, 13), (&MAVLINK1, 0)] {
+            for place in 3..packet.len() {
+                for bit in 0..8 {
+                    let mut bytes = [packet, &vec![0; behind]].concat();
+                    bytes[place] ^= 1 << bit;
+                    assert!(front(&bytes, crc_extra).is_err());
+                }
             }
         }
     }
@@ -163,7 +222,7 @@ mod tests {
             any::<bool>(),
         )
             .prop_map(|(payload, damaged)| {
-                let frame = Frame::new(crate::HEARTBEAT, &payload).expect("a frame");
+                let frame = Frame::new(crate::model::HEARTBEAT, &payload).expect("a frame");
                 let mut bytes = frame.as_bytes().to_vec();
                 bytes[4] ^= u8::from(damaged);
                 bytes
@@ -214,15 +273,14 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::{any_prefix, set_checksum};
+    use crate::model::any_prefix;
     use core::sync::atomic::{AtomicU16, Ordering::Relaxed};
-    use mavlink_signing::field::{MAGIC, MAGIC_V1};
+    use mavlink_signing::field::MAGIC;
 
     #[kani::proof]
     #[kani::unwind(9)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn w3_front() {
-        set_checksum(kani::any());
         let buffer: [u8; MAX_FRAME_SIZE] = kani::any();
         let buffer = any_prefix(&buffer);
         let extra: Option<u8> = kani::any();
@@ -299,6 +357,25 @@ mod verification {
         kani::cover!(room == MAX_FRAME_SIZE, "empty");
     }
 
+    /// Room is made of bytes that are done with or were lent out: the others stay, and the new one is behind
+    /// them. How many there are is known to the solver.
+    #[kani::proof]
+    #[kani::unwind(4)]
+    fn w3_keeps() {
+        const HELD: usize = 40;
+        let bytes: [u8; MAX_FRAME_SIZE] = kani::any();
+        let decoder = Decoder::new(Resync::NextByte, any_extra);
+        let mut decoder = decoder.holding(bytes, HELD, [3, 8]);
+        let (index, byte): (usize, u8) = kani::any();
+        takes(&mut decoder, byte);
+        assert_eq!(decoder.pending().len(), HELD - 11 + 1);
+        if index < HELD - 11 {
+            assert_eq!(decoder.pending()[index], bytes[11 + index]);
+        }
+        assert_eq!(decoder.pending()[HELD - 11], byte);
+        kani::cover!(index == HELD - 12, "the last that was there");
+    }
+
     /// What comes out of a decoder that holds the first `length` of `bytes`, done with none of them,
     /// whose line is silent if `idle`.
     fn gives_of(
@@ -307,7 +384,6 @@ mod verification {
         bytes: [u8; MAX_FRAME_SIZE],
         length: usize,
     ) -> Option<Result<usize, DecodeError>> {
-        set_checksum(kani::any());
         EXTRA.store(kani::any(), Relaxed);
         let mut decoder = Decoder::new(resync, any_extra).holding(bytes, length, [0, 0]);
         if idle {

@@ -31,8 +31,8 @@ impl Kind {
         }
     }
 
-    /// Why `packet` is rejected, in the order in which that is looked for; the length of a first packet in
-    /// it says where another one begins.
+    /// Why `packet` is rejected, in the order in which that is looked for. The length of a first packet
+    /// in it says where another one begins.
     fn rejects(self, packet: &[u8]) -> Option<Fault> {
         let Some(length) = announced(packet).filter(|length| *length <= packet.len()) else {
             return Some(Fault::Parse);
@@ -67,10 +67,10 @@ impl From<PackError> for Fault {
     }
 }
 
-/// P1: of the packets given to a packer, those that are whole and fit into a message come out of its
-/// messages again, whole, unchanged and in order; every other one is rejected with the reason and counted;
-/// behind the last packet of a message there are zeros alone. A message makes room if and only if the next
-/// packet does not fit into it; when it is asked for, one comes if and only if it holds a HEARTBEAT or its
+/// P1: of the packets given to a packer, those that are whole and fit into a message come out again,
+/// whole, unchanged and in order. Every other one is rejected with the reason and counted. Behind the
+/// last packet of a message there are zeros alone. A message makes room if and only if the next packet
+/// does not fit into it. When it is asked for, one comes if and only if it holds a HEARTBEAT or its
 /// first packet has waited long enough. `polls` says whether the packer is asked after each packet.
 /// Returns how many messages there were.
 ///
@@ -155,7 +155,7 @@ fn announced(packet: &[u8]) -> Option<usize> {
 }
 
 /// P1, two packets that fit into a message each: the second makes room if and only if there is none for
-/// both; what comes out holds them whole and in order, and zeros behind them.
+/// both. What comes out holds them whole and in order, and zeros behind them.
 ///
 /// `at` is an index below 80 at which the messages are looked at. Returns whether they share one.
 ///
@@ -188,8 +188,8 @@ pub fn two_packets(one: &[u8], two: &[u8], at: usize) -> bool {
     shared
 }
 
-/// P1, asking for a message: one comes if and only if the packet that was packed is a HEARTBEAT, or was
-/// packed as long ago as a packet may wait; it holds the packet whole, and zeros behind it.
+/// P1, asking for a message: one comes if and only if the packet is a HEARTBEAT, or was packed as long
+/// ago as a packet may wait. It holds the packet whole, and zeros behind it.
 ///
 /// # Panics
 ///
@@ -213,9 +213,9 @@ fn is_whole(packet: &[u8]) -> bool {
     announced(packet) == Some(packet.len())
 }
 
-/// P1's other side: any message is unpacked without a panic; the packets in it do not overlap, and with
-/// what is zero between them they are all of it, or there is an error, which is the last. How many
-/// packets there are.
+/// P1's other side: any message is unpacked without a panic. The packets in it do not overlap. With what
+/// is zero between them they are all of it, or there is an error, which is the last. How many packets
+/// there are.
 ///
 /// # Errors
 ///
@@ -406,9 +406,9 @@ mod verification {
         let times: [u32; 2] = kani::any();
         let [max_delay, later] = times.map(|seconds| Duration::from_secs(seconds.into()));
         let packet = any_packet::<40>();
+        asked_later(&packet, max_delay, later, any_index());
         kani::cover!(later < max_delay && packet[5] == 0, "a heartbeat");
         kani::cover!(later < max_delay && packet[5] != 0, "in time");
-        asked_later(&packet, max_delay, later, any_index());
         kani::cover!(later >= max_delay, "waited");
     }
 }

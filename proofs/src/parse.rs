@@ -3,9 +3,11 @@
 use mavlink_signing::field::{CHECKSUM_SIZE, HEADER_SIZE, MAGIC, SIGNATURE_SIZE, SIGNED_FLAG};
 use mavlink_signing::{FrameRef, ParseError};
 
-/// W1: `bytes` are parsed or rejected without a panic; a frame is the front of `bytes`, exactly as
-/// long as its header says, and every accessor agrees with the bytes; an error is the first thing
-/// that is wrong. Returns the frame's length.
+use crate::wire::checksum_is_right;
+
+/// W1: `bytes` are parsed or rejected without a panic. A frame is the front of `bytes`, exactly as long
+/// as its header says. Every accessor agrees with the bytes, the one about the checksum with both of its
+/// bytes. An error is the first thing that is wrong. Returns the frame's length.
 ///
 /// # Errors
 ///
@@ -50,15 +52,19 @@ pub fn parse_any(bytes: &[u8], crc_extra: u8) -> Result<usize, ParseError> {
             assert!(signed);
             let at = length - SIGNATURE_SIZE;
             assert_eq!(signature.stamp.link_id, bytes[at]);
-            for (i, byte) in signature.stamp.timestamp.to_wire().into_iter().enumerate() {
-                assert_eq!(byte, bytes[at + 1 + i]);
+            let ticks = signature.stamp.timestamp.ticks().to_le_bytes();
+            for (i, byte) in ticks.into_iter().enumerate() {
+                assert_eq!(byte, if i < 6 { bytes[at + 1 + i] } else { 0 });
             }
             for (i, byte) in signature.tag.into_iter().enumerate() {
                 assert_eq!(byte, bytes[at + 7 + i]);
             }
         }
     }
-    let _ = frame.checksum_matches(crc_extra);
+    assert_eq!(
+        frame.checksum_matches(crc_extra),
+        checksum_is_right(bytes, crc_extra)
+    );
     Ok(length)
 }
 
@@ -76,6 +82,8 @@ fn first_fault(bytes: &[u8]) -> ParseError {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::HEARTBEAT;
+    use mavlink_signing::Frame;
     use proptest::prelude::*;
 
     /// Bytes that often begin like a frame.
@@ -99,6 +107,20 @@ mod tests {
         }
     }
 
+    /// Each bit behind the length: what an accessor says of the checksum follows both of its bytes.
+    #[test]
+    fn w1_each_bit() {
+        let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        assert_eq!(parse_any(frame.as_bytes(), 50), Ok(15));
+        for place in 2..frame.as_bytes().len() {
+            for bit in 0..8 {
+                let mut bytes = frame.as_bytes().to_vec();
+                bytes[place] ^= 1 << bit;
+                let _ = parse_any(&bytes, 50);
+            }
+        }
+    }
+
     #[test]
     fn w1_every_length_of_every_cut() {
         for payload_length in 0..=255 {
@@ -116,7 +138,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::{any_prefix, set_checksum};
+    use crate::model::any_prefix;
 
     /// Longer than the longest frame, 280 bytes: every frame, and bytes behind it.
     const LENGTH: usize = 300;
@@ -125,10 +147,13 @@ mod verification {
     #[kani::unwind(8)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn w1_parse_any() {
-        set_checksum(kani::any());
         let bytes: [u8; LENGTH] = kani::any();
         let bytes = any_prefix(&bytes);
-        let parsed = parse_any(bytes, kani::any());
+        let crc_extra = kani::any();
+        let parsed = parse_any(bytes, crc_extra);
+        let right = |length| parsed == Ok(length) && checksum_is_right(bytes, crc_extra);
+        kani::cover!(right(280), "undamaged");
+        kani::cover!(parsed == Ok(280) && !right(280), "damaged");
         kani::cover!(parsed == Ok(280), "the longest frame");
         kani::cover!(parsed == Ok(12), "the shortest frame");
         kani::cover!(parsed == Err(ParseError::Truncated), "truncated");

@@ -8,7 +8,9 @@ use mavlink_signing::{
     DecodeError, Decoder, Frame, Packet, Profile, ReplayGuard, Resync, SigningKey, Stamper,
     Timestamp, Window, dialect,
 };
-use mavseal_relay::{Counters, ForwardMode, Forwarded, RejectReason, Relay, Signer, Verifier};
+use mavseal_relay::{
+    Counters, ForwardMode, Forwarded, RejectReason, Relay, Signer, Verifier, adapter,
+};
 
 /// The link id of what the relay signs.
 pub const LINK_OUT: u8 = 1;
@@ -92,11 +94,11 @@ impl Write for Pipe {
     }
 }
 
-/// L1 over whole streams: whatever arrives on both sides, in whatever pieces, and however much each
-/// side takes at a time, each direction hands on exactly what its part makes of the packets found, in
-/// order and complete, and counts the rest. The clock stands at `now`.
+/// L1 over whole streams, whatever arrives on both sides, in whatever pieces, and however much each side
+/// takes at a time. Each direction hands on exactly what its part makes of the packets found, in order
+/// and complete, and counts the rest. The clock stands at `now`.
 ///
-/// `keys` makes the key anew, which cannot be copied. Returns the counters, plain to secure first.
+/// `keys` makes the key each time, as it cannot be copied. Returns the counters, plain to secure first.
 ///
 /// # Panics
 ///
@@ -117,13 +119,25 @@ pub fn pipes<P: Profile>(
     for turn in turns {
         local_pipe.turn(turn.arrive[0].into(), turn.room[0].into());
         link_pipe.turn(turn.arrive[1].into(), turn.room[1].into());
-        let polled = relay.poll(&mut local_pipe, &mut link_pipe, &mut clock, &mut |_| {});
+        let polled = adapter::poll(
+            &mut relay,
+            &mut local_pipe,
+            &mut link_pipe,
+            &mut clock,
+            &mut |_| {},
+        );
         assert!(polled.outbound.is_ok() && polled.inbound.is_ok());
     }
     loop {
         local_pipe.turn(usize::MAX, usize::MAX);
         link_pipe.turn(usize::MAX, usize::MAX);
-        let polled = relay.poll(&mut local_pipe, &mut link_pipe, &mut clock, &mut |_| {});
+        let polled = adapter::poll(
+            &mut relay,
+            &mut local_pipe,
+            &mut link_pipe,
+            &mut clock,
+            &mut |_| {},
+        );
         if !polled.moved() {
             break;
         }
@@ -193,7 +207,7 @@ fn in_sequence(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, Stamp, sign_frame};
     use proptest::prelude::*;
 

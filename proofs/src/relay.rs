@@ -1,16 +1,18 @@
 //! L1: nothing from the link side is signed; nothing unverified leaves on the local side.
 
-use mavlink_signing::dialect::crc_extra;
+use mavlink_signing::field::{CHECKSUM_SIZE, SIGNATURE_SIZE};
 use mavlink_signing::{
-    FrameRef, Packet, Profile, SETUP_SIGNING, SigningKey, Stamper, Timestamp, VerifyError,
-    authenticate,
+    FrameRef, Packet, Profile, SETUP_SIGNING, SignError, SigningKey, Stamper, Timestamp,
+    VerifyError, authenticate,
 };
 use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Signer, Verifier};
 
 use crate::model::Resumed;
+use crate::wire::known_and_undamaged;
 
-/// L1, towards the local side: a packet is handed on only if it is verified, by a receiver in the
-/// same state; unsigned, or byte for byte as received, as `forward` says. Returns the rejection.
+/// L1, towards the local side: a packet is handed on only if it is verified, by a receiver in the same
+/// state. It leaves byte for byte as received, or stripped, as `forward` says. A stripped frame has the
+/// same bytes, but for the flag and a new checksum, which is right. Returns the rejection.
 ///
 /// That the relay gives packets of the link side to [`Verifier`] alone, which holds no stamper,
 /// is a matter of its types.
@@ -53,16 +55,17 @@ pub fn only_verified_leaves<P: Profile>(
         Ok(Forwarded::Verified(frame)) => {
             assert!(verdict.is_ok());
             let (bytes, original) = (frame.as_bytes(), received.as_bytes());
-            let same = match forward {
-                ForwardMode::KeepSignature => original.len(),
-                // All but flag, checksum and signature.
+            match forward {
+                ForwardMode::KeepSignature => assert_eq!(bytes.len(), original.len()),
                 ForwardMode::StripSignature => {
-                    assert!(!frame.is_signed());
-                    assert_eq!(bytes.len(), original.len() - 13);
-                    bytes.len() - 2
+                    assert_eq!(bytes.len(), original.len() - SIGNATURE_SIZE);
+                    assert_eq!(bytes[2], 0);
+                    assert!(known_and_undamaged(bytes).is_ok());
                 }
-            };
-            if index < same && (index != 2 || forward == ForwardMode::KeepSignature) {
+            }
+            let checksum_at = bytes.len() - CHECKSUM_SIZE;
+            let stripped = forward == ForwardMode::StripSignature;
+            if index < bytes.len() && !(stripped && (index == 2 || index >= checksum_at)) {
                 assert_eq!(bytes[index], original[index]);
             }
             Ok(())
@@ -76,15 +79,17 @@ pub fn only_verified_leaves<P: Profile>(
 
 /// Why a frame without signature is rejected where no policy accepts any.
 fn unsigned_rejection(received: FrameRef<'_>) -> RejectReason {
-    match crc_extra(received.header().message_id) {
-        None => RejectReason::UnknownMessage,
-        Some(extra) if !received.checksum_matches(extra) => RejectReason::BadChecksum,
-        Some(_) => RejectReason::NotSigned,
+    match known_and_undamaged(received.as_bytes()) {
+        Err(SignError::UnknownMessage(_)) => RejectReason::UnknownMessage,
+        Err(_) => RejectReason::BadChecksum,
+        Ok(_) => RejectReason::NotSigned,
     }
 }
 
-/// L1, towards the link side: a packet is signed only if it is a frame without signature; what
-/// leaves carries the stamper's link id and the same header and payload. Returns the rejection.
+/// L1, towards the link side: a packet is signed if and only if it is an undamaged, known frame without
+/// signature, and not SETUP_SIGNING. Otherwise the error names the first that is wrong. What leaves is
+/// signed with the stamper's stamp. It has the same bytes, but for the flag, the signature, and a new
+/// checksum, which is right. Returns the rejection.
 ///
 /// # Errors
 ///
@@ -100,29 +105,49 @@ pub fn only_unsigned_is_signed<P: Profile>(
     now: Timestamp,
     index: usize,
 ) -> Result<(), RejectReason> {
-    let link_id = stamper.link_id();
-    let frame = Signer::new(stamper).sign(packet, key, &mut { now })?;
-    let Packet::Mavlink2(received) = packet else {
-        panic!("a MAVLink 1 packet was signed");
+    let stamp = stamper.next(now);
+    let signing = Signer::new(stamper).sign(packet, key, &mut { now });
+    let expected = match packet {
+        Packet::Mavlink1(_) => Err(RejectReason::Mavlink1),
+        Packet::Mavlink2(frame) => to_be_signed(frame),
     };
-    assert!(!received.is_signed());
-    assert_ne!(received.header().message_id, SETUP_SIGNING);
+    assert_eq!(signing.as_ref().map(drop), expected.as_ref().map(drop));
+    let Ok(frame) = signing else { return expected };
+    let original = packet.as_bytes();
     let bytes = frame.as_bytes();
-    assert_eq!(bytes.len(), received.as_bytes().len() + 13);
-    assert_eq!(bytes[bytes.len() - 13], link_id);
-    let same = received.as_bytes().len() - 2;
-    if index < same && index != 2 {
-        assert_eq!(bytes[index], received.as_bytes()[index]);
+    assert_eq!(bytes.len(), original.len() + SIGNATURE_SIZE);
+    assert_eq!(bytes[2], 1);
+    assert!(known_and_undamaged(bytes).is_ok());
+    let checksum_at = original.len() - CHECKSUM_SIZE;
+    if index < checksum_at && index != 2 {
+        assert_eq!(bytes[index], original[index]);
     }
-    let parsed = FrameRef::parse(bytes).expect("a whole frame");
-    assert!(parsed.is_signed());
+    let signed = FrameRef::parse(bytes).expect("a whole frame");
+    let authentic = authenticate(signed, key).expect("signed with the key");
+    assert_eq!(Ok(authentic.stamp()), stamp);
     Ok(())
+}
+
+/// Why a frame of the local side is not signed, unless it is.
+fn to_be_signed(frame: FrameRef<'_>) -> Result<(), RejectReason> {
+    if frame.header().message_id == SETUP_SIGNING {
+        return Err(RejectReason::SetupSigning);
+    }
+    if frame.as_bytes()[2] != 0 {
+        return Err(RejectReason::AlreadySigned);
+    }
+    match known_and_undamaged(frame.as_bytes()) {
+        Err(SignError::UnknownMessage(_)) => Err(RejectReason::UnknownMessage),
+        Err(_) => Err(RejectReason::BadChecksum),
+        Ok(_) => Ok(()),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
+    use mavlink_signing::dialect::crc_extra;
     use mavlink_signing::{Frame, Hmac, Stamp, Window, sign_frame};
     use proptest::prelude::*;
 
@@ -139,6 +164,8 @@ mod tests {
             link_id in 1..3_u8,
             times in [0..40_u64, 0..40_u64, 0..40_u64],
             whole: bool,
+            // Often no damage, else bits of one byte behind the length and the flags.
+            damage in proptest::option::of((any::<prop::sample::Index>(), 1..=255_u8)),
         ) {
             let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
             let other = SigningKey::<Hmac>::new(&[8; 32]).expect("a key");
@@ -147,18 +174,75 @@ mod tests {
                 let stamp = Stamp { link_id, timestamp: at(times[0]) };
                 sign_frame(&mut frame, if other_key { &other } else { &key }, stamp).expect("signed");
             }
-            let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
+            let mut bytes = frame.as_bytes().to_vec();
+            if let Some((at, bits)) = damage {
+                let at = 3 + at.index(bytes.len() - 3);
+                bytes[at] ^= bits;
+            }
+            let received = FrameRef::parse(&bytes).expect("a whole frame");
+            let right = known_and_undamaged(&bytes).is_ok();
+            let packet = Packet::Mavlink2(received);
             let window = Window { past: 15, ahead: 15 };
             let receiver = Resumed { link_id: 2, window, first: at(times[1]) };
             let forward = if whole { ForwardMode::KeepSignature } else { ForwardMode::StripSignature };
             for index in 0..frame.as_bytes().len() {
                 let left = only_verified_leaves(packet, &key, receiver, forward, at(times[2]), index);
-                prop_assert!(left.is_err() || (signed && !other_key && link_id == 2));
+                let ours = signed && !other_key && link_id == 2 && damage.is_none();
+                prop_assert!(left.is_err() || ours);
                 let stamper = Stamper::new(1);
                 let signing = only_unsigned_is_signed(packet, &key, stamper, at(times[2]), index);
-                prop_assert_eq!(signing.is_err(), signed);
+                let setup = received.header().message_id == SETUP_SIGNING;
+                prop_assert_eq!(signing.is_err(), signed || !right || setup);
             }
         }
+    }
+
+    /// Each bit of a frame without signature, one after the other: nothing of it is signed or handed on.
+    #[test]
+    fn l1_each_bit() {
+        let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        for place in 3..frame.as_bytes().len() {
+            for bit in 0..8 {
+                let mut bytes = frame.as_bytes().to_vec();
+                bytes[place] ^= 1 << bit;
+                let packet = Packet::Mavlink2(FrameRef::parse(&bytes).expect("a whole frame"));
+                let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), at(5), 0);
+                assert!(signing.is_err());
+                let receiver = Resumed {
+                    link_id: 2,
+                    window: Window::STRICT,
+                    first: Timestamp::ZERO,
+                };
+                let forward = ForwardMode::StripSignature;
+                assert!(only_verified_leaves(packet, &key, receiver, forward, at(5), 0).is_err());
+            }
+        }
+    }
+
+    /// What is rejected uses up no stamp: the next frame has the one that it would have had.
+    #[test]
+    fn l1_rejected_uses_no_stamp() {
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        let mut damaged = frame.as_bytes().to_vec();
+        damaged[12] ^= 1;
+        let mut signed = frame.clone();
+        let stamp = Stamp {
+            link_id: 9,
+            timestamp: at(1),
+        };
+        sign_frame(&mut signed, &key, stamp).expect("signed");
+        let mut signer = Signer::new(Stamper::new(1));
+        let packet = |bytes| Packet::Mavlink2(FrameRef::parse(bytes).expect("a whole frame"));
+        for rejected in [&damaged, signed.as_bytes()] {
+            let rejection = signer.sign(packet(rejected), &key, &mut { at(5) });
+            assert!(rejection.is_err());
+        }
+        let sent = signer.sign(packet(frame.as_bytes()), &key, &mut { at(5) });
+        let sent = sent.expect("signed");
+        let sent = FrameRef::parse(sent.as_bytes()).expect("a whole frame");
+        assert_eq!(sent.signature().expect("signed").stamp.timestamp, at(5));
     }
 
     #[test]
@@ -207,15 +291,8 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::{AnyTag, any_prefix, set_checksum};
-    use crate::replay::any_timestamp;
+    use crate::model::{any_key, any_prefix, any_timestamp};
     use mavlink_signing::field::{MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
-
-    fn any_key() -> SigningKey<AnyTag> {
-        let mut secret: [u8; 32] = kani::any();
-        secret[31] = 1;
-        SigningKey::new(&secret).expect("not zero")
-    }
 
     /// Any frame of `SIZE` bytes with these flags: an array of that size, so that the solver knows
     /// how long it is.
@@ -226,11 +303,9 @@ mod verification {
     }
 
     fn leaves<const SIZE: usize>() {
-        set_checksum(kani::any());
         let bytes: [u8; SIZE] = any_frame(1, SIZE - 25);
-        let Ok(packet) = Packet::parse(&bytes, |_| Some(0)) else {
-            return;
-        };
+        // Not `Packet::parse`, which lets no damaged one through.
+        let packet = Packet::Mavlink2(FrameRef::parse(&bytes).expect("a whole frame"));
         let whole = kani::any();
         let forward = if whole {
             ForwardMode::KeepSignature
@@ -241,31 +316,31 @@ mod verification {
         let left = only_verified_leaves(packet, &any_key(), Resumed::any(), forward, now, index);
         kani::cover!(left.is_ok() && whole, "whole");
         kani::cover!(left.is_ok() && !whole, "stripped");
+        kani::cover!(left == Err(RejectReason::BadChecksum), "damaged");
+        kani::cover!(left == Err(RejectReason::BadTag), "forged");
         kani::cover!(left == Err(RejectReason::Replayed), "replayed");
         kani::cover!(left == Err(RejectReason::SetupSigning), "SETUP_SIGNING");
     }
 
     fn signs<const SIZE: usize>() {
-        set_checksum(kani::any());
         let bytes: [u8; SIZE] = any_frame(0, SIZE - 12);
-        let Ok(packet) = Packet::parse(&bytes, |_| Some(0)) else {
-            return;
-        };
+        let packet = Packet::Mavlink2(FrameRef::parse(&bytes).expect("a whole frame"));
         let stamper = Stamper::resume(kani::any(), any_timestamp());
         let (now, index) = (any_timestamp(), kani::any());
         let signing = only_unsigned_is_signed(packet, &any_key(), stamper, now, index);
         kani::cover!(signing.is_ok(), "signed");
         kani::cover!(signing == Err(RejectReason::UnknownMessage), "unknown");
+        kani::cover!(signing == Err(RejectReason::BadChecksum), "damaged");
         kani::cover!(signing == Err(RejectReason::SetupSigning), "SETUP_SIGNING");
     }
 
     // The harness's number is the payload's length, the literal the frame's.
-    crate::for_payload_lengths! { leaves:
+    crate::model::for_payload_lengths! { leaves:
         l1_only_verified_leaves_0 25 unwind 33,
         l1_only_verified_leaves_9 34 unwind 36,
     }
 
-    crate::for_payload_lengths! { signs:
+    crate::model::for_payload_lengths! { signs:
         l1_only_unsigned_is_signed_0 12 unwind 33,
         l1_only_unsigned_is_signed_9 21 unwind 33,
     }
@@ -275,13 +350,17 @@ mod verification {
     #[kani::unwind(33)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn l1_the_wrong_kind_is_rejected() {
-        set_checksum(kani::any());
         let mut bytes: [u8; MAX_FRAME_SIZE] = kani::any();
         let mavlink1 = kani::any();
         let signed = kani::any();
         bytes[0] = if mavlink1 { MAGIC_V1 } else { MAGIC };
         let bytes = any_prefix(&bytes);
-        let Ok(packet) = Packet::parse(bytes, |_| Some(0)) else {
+        let packet = if mavlink1 {
+            Packet::parse(bytes, |_| Some(0)).ok()
+        } else {
+            FrameRef::parse(bytes).ok().map(Packet::Mavlink2)
+        };
+        let Some(packet) = packet else {
             return;
         };
         if let Packet::Mavlink2(frame) = packet {
@@ -314,7 +393,11 @@ mod verification {
             };
             assert_eq!(rejection, Some(expected));
             kani::cover!(mavlink1, "MAVLink 1, to be verified");
-            kani::cover!(!mavlink1, "not signed");
+            kani::cover!(rejection == Some(RejectReason::NotSigned), "not signed");
+            kani::cover!(
+                !mavlink1 && rejection == Some(RejectReason::BadChecksum),
+                "damaged, not signed"
+            );
         }
     }
 }

@@ -1,39 +1,45 @@
 //! R1: accepted timestamps strictly increase.
 
 use mavlink_signing::{
-    Frame, FrameRef, Profile, SigningKey, Stamp, Timestamp, VerifyError, authenticate, sign_frame,
+    AntiReplay, Frame, FrameRef, Profile, SigningKey, Stamp, Timestamp, VerifyError, authenticate,
+    sign_frame,
 };
 
-use crate::HEARTBEAT;
+use crate::model::HEARTBEAT;
 use crate::model::Resumed;
 
-/// R1, one step from any state: an authentic frame is accepted only for this link, inside the
-/// window and later than the last accepted one, and is then the last; the same frame is rejected
-/// the next time; what is rejected changes nothing.
+/// R1, one step from any state: an authentic frame is accepted only for this link, inside the window and
+/// later than the last accepted one. It is then the last, and the same frame is rejected the next time.
+/// What is rejected changes nothing.
+/// Of another link is all that the receiver says it rejects of its own end's.
 ///
 /// Every history is a sequence of such steps, so accepted timestamps strictly increase in every
 /// history.
 ///
+/// # Errors
+///
+/// The verdict, where it is a rejection.
+///
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn step<P: Profile>(key: &SigningKey<P>, before: Resumed, stamp: Stamp, now: Timestamp) {
+pub fn step<P: Profile>(
+    key: &SigningKey<P>,
+    before: Resumed,
+    stamp: Stamp,
+    now: Timestamp,
+) -> Result<(), VerifyError> {
     let mut frame = Frame::new(HEARTBEAT, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     let authentic = || authenticate(received, key).expect("signed with this key");
 
     let mut after = before.replay();
-    let accepted = after.admit(authentic(), now).is_ok();
+    let verdict = after.admit(authentic(), now).map(drop);
     let (ticks, now_ticks) = (stamp.timestamp.ticks(), now.ticks());
-    if accepted {
+    if verdict.is_ok() {
         assert_eq!(stamp.link_id, before.link_id);
-        assert!(
-            before
-                .replay()
-                .last()
-                .is_none_or(|last| ticks > last.ticks())
-        );
+        assert!(stamp.timestamp >= before.first, "newer than the last");
         assert!(ticks <= now_ticks.saturating_add(before.window.ahead));
         assert!(ticks >= now_ticks.saturating_sub(before.window.past));
         assert_eq!(after.last(), Some(stamp.timestamp));
@@ -44,23 +50,13 @@ pub fn step<P: Profile>(key: &SigningKey<P>, before: Resumed, stamp: Stamp, now:
     } else {
         assert_eq!(after, before.replay());
     }
+    // What this end sends itself is one of these frames, when it comes back.
+    let rejects_own = AntiReplay::rejects_own(&after, stamp.link_id);
+    assert_eq!(rejects_own, stamp.link_id != before.link_id);
+    assert!(!rejects_own || verdict.is_err());
     assert_eq!(after.link_id(), before.link_id);
     assert_eq!(after.window(), before.window);
-}
-
-/// Any timestamp there is.
-#[cfg(kani)]
-pub(crate) fn any_timestamp() -> Timestamp {
-    Timestamp::from_wire(kani::any())
-}
-
-/// Any link and any timestamp.
-#[cfg(kani)]
-pub(crate) fn any_stamp() -> Stamp {
-    Stamp {
-        link_id: kani::any(),
-        timestamp: any_timestamp(),
-    }
+    verdict
 }
 
 #[cfg(test)]
@@ -81,7 +77,7 @@ mod tests {
             window,
             first: at(first),
         };
-        step(&key, before, stamp, at(now));
+        let _ = step(&key, before, stamp, at(now));
     }
 
     proptest! {
@@ -119,7 +115,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::AnyTag;
+    use crate::model::{AnyTag, any_stamp, any_timestamp};
 
     #[kani::proof]
     #[kani::unwind(33)]
@@ -128,11 +124,14 @@ mod verification {
         let before = Resumed::any();
         let stamp = any_stamp();
         let now = any_timestamp();
+        let verdict = step(&key, before, stamp, now);
+        kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(
-            stamp.link_id == before.link_id && stamp.timestamp == now,
-            "likely accepted"
+            verdict.is_ok() && stamp.timestamp == Timestamp::MAX,
+            "the last of all"
         );
-        kani::cover!(before.first > stamp.timestamp, "a replay");
-        step(&key, before, stamp, now);
+        kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
+        kani::cover!(verdict == Err(VerifyError::TooOld), "too old");
+        kani::cover!(verdict == Err(VerifyError::FromFuture), "from the future");
     }
 }

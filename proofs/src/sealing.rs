@@ -1,6 +1,6 @@
 //! N1: no nonce is used twice within a run.
 //!
-//! That nothing seals with a copy is a matter of types: these programs must not compile, and each
+//! That nothing seals with a copy is a matter of types. These programs must not compile, and each
 //! differs in one line from one that does.
 //!
 //! ```
@@ -32,8 +32,8 @@
 //! fn seals(key: SealingKey) -> [Sealer; 2] { [Sealer::new(key, SenderId(1)), Sealer::new(key, SenderId(1))] }
 //! ```
 //!
-//! A key belongs to one header, and so does what the key file says of a sender: there is no sealer of the
-//! one format with a key of the other, and no list of peers of both.
+//! A key belongs to one header, and so does what the key file says of a sender. There is no sealer of
+//! the one format with a key of the other, and no list of peers of both.
 //!
 //! ```
 //! use mavlink_commsec::{AesGcm, EpochError, EpochHeader, EpochSenderId, SealingKey, Sealer};
@@ -78,16 +78,16 @@
 
 use mavlink_commsec::field::{HEADER_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::{
-    EpochCounter, EpochError, EpochHeader, EpochSenderId, Package, PackageHeader, Plaintext,
-    SealError, Sealer, SealingKey, SenderId,
+    EpochCounter, EpochError, EpochHeader, EpochSenderId, HeaderFormat, Package, PackageHeader,
+    Plaintext, SealError, Sealer, SealingKey, SenderId,
 };
 
 use crate::cipher::{Specified, Told, Verdict, nonce_of};
 
-/// N1, from any state that a sender can be resumed in: what is sealed next is sealed under the salt, the
-/// sender's id and a counter that is at least 1, at least `first`, and one greater each time; after
-/// 2^32 - 2 nothing is sealed any more, now and later; what the cipher could not seal is not sent, and
-/// uses its counter up.
+/// N1, from any state that a sender can be resumed in: what is sealed next is sealed under salt, sender
+/// and counter. The counter is at least 1, at least `first`, and one greater each time. After 2^32 - 2
+/// nothing is sealed any more, now and later. What the cipher could not seal is not sent, and uses its
+/// counter up.
 ///
 /// `at` is an index below 80 at which the sealed messages are looked at. Returns the counter of the last
 /// package. As a sender in any state is one resumed there, one message says it of all.
@@ -110,8 +110,8 @@ pub fn packages(
     seals::<PackageHeader>(sealer, salt, id, 0, first.max(1), verdict, messages, at)
 }
 
-/// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch; 65,535 and
-/// what has more than 16 bits is no epoch.
+/// N1 for a sender that begins the epoch `mark`: the same from counter 1 on, all in this epoch. 65,535
+/// and what has more than 16 bits is no epoch.
 ///
 /// # Errors
 ///
@@ -147,6 +147,19 @@ pub fn packages_of_epoch(
         messages,
         at,
     ))
+}
+
+/// N1, of the place after a package's: its counter is one greater, in the same epoch where there are any.
+/// Behind the last one, 2^32 - 2, is that which no sender uses, and it stays there.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn next_is_one_greater(epoch: u16, counter: u32) {
+    let after = counter.saturating_add(1);
+    assert_eq!(PackageHeader::next(counter), after);
+    let next = EpochHeader::next(EpochCounter { epoch, counter });
+    assert_eq!((next.epoch, next.counter), (epoch, after));
 }
 
 /// Seals `messages`, and compares with what must come out, from counter `first` on.
@@ -274,6 +287,16 @@ mod tests {
     }
 
     #[test]
+    fn n1_next() {
+        let counters = [0, 1, 0xFF, 0xFFFF, 0x1_0000, u32::MAX - 1, u32::MAX];
+        for counter in counters {
+            for epoch in [0, 1, 0xFF, 0xFFFE, 0xFFFF] {
+                next_is_one_greater(epoch, counter);
+            }
+        }
+    }
+
+    #[test]
     fn n1_edges() {
         let edges = [
             0,
@@ -302,8 +325,39 @@ mod tests {
 mod verification {
     use super::*;
 
-    // Errors, of a cipher that fails and of counters used up, are for the property tests: Kani 0.67 takes the error
-    // that `?` hands on in a result as large as a package's for no error at all, or for another one.
+    // An error in a result as large as a package's needs CBMC's `--max-field-sensitivity-array-size`,
+    // which the workspace sets. Without it, Kani 0.67 takes the error that `?` hands on for another one,
+    // or for none.
+
+    #[kani::proof]
+    #[kani::unwind(1)]
+    fn n1_next_is_one_greater() {
+        let counter = kani::any();
+        next_is_one_greater(kani::any(), counter);
+        kani::cover!(counter == u32::MAX - 1, "the last counter of all");
+    }
+
+    /// What the cipher cannot seal is not sent, and its counter is used up.
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn n1_cipher_fails() {
+        let numbers: [u32; 3] = kani::any();
+        kani::assume(numbers[2] < u32::MAX);
+        let last = packages(numbers, Verdict::Fails, &[kani::any()], 0);
+        assert_eq!(last, Err(SealError::Cipher));
+        kani::cover!(numbers[2] == u32::MAX - 1, "under the last counter");
+    }
+
+    /// Behind the last counter nothing is sealed, whatever the cipher says, then and later.
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn n1_counters_used_up() {
+        let (salt, id) = (kani::any(), kani::any());
+        let messages: [Plaintext; 2] = kani::any();
+        let last = packages([salt, id, u32::MAX], Verdict::Right, &messages, 0);
+        assert_eq!(last, Err(SealError::CounterExhausted));
+        kani::cover!(true, "nothing is sealed");
+    }
 
     #[kani::proof]
     #[kani::unwind(97)]

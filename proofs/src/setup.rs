@@ -5,9 +5,11 @@ use mavlink_signing::{
     without_trailing_zeros,
 };
 
-/// M1, reading: a payload of up to 42 bytes whose timestamp has 48 bits reads as its fields (8 bytes of
-/// timestamp, little-endian, target system, target component, 32 of key, cut zeros filled in); the error
-/// of any other says what is wrong.
+use crate::wire::known_and_undamaged;
+
+/// M1, reading: a payload of up to 42 bytes whose timestamp has 48 bits reads as its fields. They are 8
+/// bytes of timestamp, little-endian, target system, target component, and 32 of key; cut zeros are
+/// filled in. The error of any other payload says what is wrong.
 ///
 /// # Errors
 ///
@@ -59,6 +61,7 @@ pub fn built_field_by_field(setup: &SetupSigning, header: Header) {
         ..header
     };
     assert_eq!(received.header(), expected);
+    assert!(known_and_undamaged(bytes).is_ok());
     let payload = &bytes[10..bytes.len() - 2];
     let read = read_field_by_field(payload).expect("what was written");
     assert_eq!(read.initial_timestamp, setup.initial_timestamp);
@@ -67,8 +70,8 @@ pub fn built_field_by_field(setup: &SetupSigning, header: Header) {
     assert_eq!(read.secret_key, setup.secret_key);
 }
 
-/// M1, what is cut: zeros at the end and nothing else, and of a payload of zeros all but the first
-/// (MAVLink guide, "Packet Serialization", Payload Truncation).
+/// M1, what is cut: zeros at the end and nothing else. Of a payload of zeros the first stays (MAVLink
+/// guide, "Packet Serialization", Payload Truncation).
 ///
 /// # Panics
 ///
@@ -84,9 +87,9 @@ pub fn only_zeros_are_cut(payload: &[u8]) {
     }
 }
 
-/// M1, in a log: what comes out is unsigned and has the frame's header and payload, but of SETUP_SIGNING
-/// the 32 bytes of the key are 0xFF, however many of them were sent. What is damaged or unknown is
-/// rejected. `index` is the byte of the payload that is looked at.
+/// M1, in a log: what comes out is unsigned, has a right checksum, and has the frame's header and
+/// payload. Of SETUP_SIGNING the 32 bytes of the key are 0xFF, however many of them were sent. What is
+/// damaged or unknown is rejected. `index` is the byte of the payload that is looked at.
 ///
 /// # Errors
 ///
@@ -96,12 +99,13 @@ pub fn only_zeros_are_cut(payload: &[u8]) {
 ///
 /// If the property does not hold.
 pub fn log_shows_no_secret(received: FrameRef<'_>, index: usize) -> Result<Frame, SignError> {
-    let copied = Frame::try_from(received).map(drop);
+    let expected = known_and_undamaged(received.as_bytes());
     let redacted = redact_for_log(received);
-    assert_eq!(redacted.as_ref().err(), copied.as_ref().err());
+    assert_eq!(redacted.as_ref().err(), expected.as_ref().err());
     let frame = redacted?;
     let (bytes, original) = (frame.as_bytes(), received.as_bytes());
     assert_eq!(bytes[2], 0);
+    assert!(known_and_undamaged(bytes).is_ok());
     assert_eq!(bytes[3..10], original[3..10]);
     let (shown, sent) = (&bytes[10..bytes.len() - 2], usize::from(original[1]));
     if received.header().message_id == SETUP_SIGNING {
@@ -126,7 +130,7 @@ pub fn log_shows_no_secret(received: FrameRef<'_>, index: usize) -> Result<Frame
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, SigningKey, Stamp, Timestamp, sign_frame};
     use proptest::prelude::*;
 
@@ -185,9 +189,8 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::HEARTBEAT;
-    use crate::model::set_checksum;
-    use crate::replay::any_timestamp;
+    use crate::model::HEARTBEAT;
+    use crate::model::any_timestamp;
     use mavlink_signing::Timestamp;
     use mavlink_signing::field::MAGIC;
 
@@ -205,12 +208,12 @@ mod verification {
         kani::cover!(matches!(read, Err(SetupError::TooLong(_))), "too long");
     }
 
-    crate::for_payload_lengths! { read:
+    crate::model::for_payload_lengths! { read:
         m1_read_field_by_field_7 7 unwind 44,
         m1_read_field_by_field_42 42 unwind 44,
     }
 
-    crate::for_payload_lengths! { not_read:
+    crate::model::for_payload_lengths! { not_read:
         m1_read_field_by_field_43 43 unwind 44,
     }
 
@@ -219,7 +222,6 @@ mod verification {
     #[kani::unwind(44)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn m1_built_field_by_field() {
-        set_checksum(kani::any());
         let mut setup = SetupSigning {
             target_system: kani::any(),
             target_component: kani::any(),
@@ -227,11 +229,11 @@ mod verification {
             initial_timestamp: any_timestamp(),
         };
         setup.secret_key[31] = 1;
+        built_field_by_field(&setup, HEARTBEAT);
         kani::cover!(
             setup.initial_timestamp == Timestamp::MAX,
             "the last timestamp"
         );
-        built_field_by_field(&setup, HEARTBEAT);
     }
 
     fn cut<const LENGTH: usize>() {
@@ -242,25 +244,30 @@ mod verification {
         kani::cover!(sent == LENGTH, "nothing");
     }
 
-    crate::for_payload_lengths! { cut:
+    crate::model::for_payload_lengths! { cut:
         m1_only_zeros_are_cut_0 0 unwind 44,
         m1_only_zeros_are_cut_42 42 unwind 44,
     }
 
     fn shown<const SIZE: usize>() {
-        set_checksum(kani::any());
         let mut bytes: [u8; SIZE] = kani::any();
         [bytes[0], bytes[1], bytes[2]] = [MAGIC, (SIZE - 25) as u8, 1];
         let received = FrameRef::parse(&bytes).expect("a whole frame");
         let setup = received.header().message_id == SETUP_SIGNING;
-        let shown = log_shows_no_secret(received, kani::any());
-        kani::cover!(shown.is_ok() && setup, "SETUP_SIGNING");
-        kani::cover!(shown.is_ok() && !setup, "another message");
-        kani::cover!(shown.is_err(), "damaged or unknown");
+        let shown = log_shows_no_secret(received, kani::any()).is_ok();
+        let expected = known_and_undamaged(&bytes);
+        assert_eq!(shown, expected.is_ok());
+        kani::cover!(shown && setup, "SETUP_SIGNING");
+        kani::cover!(shown && !setup, "another message");
+        kani::cover!(expected == Err(SignError::BadChecksum), "damaged");
+        kani::cover!(
+            matches!(expected, Err(SignError::UnknownMessage(_))),
+            "unknown"
+        );
     }
 
     // The harness's number is the payload's length, the literal that of the signed frame.
-    crate::for_payload_lengths! { shown:
+    crate::model::for_payload_lengths! { shown:
         m1_log_shows_no_secret_9 34 unwind 44,
         m1_log_shows_no_secret_42 67 unwind 69,
     }

@@ -6,8 +6,8 @@ use mavlink_signing::{
     authenticate, dialect, sign_frame,
 };
 
-/// S1: signing sets the flag, computes the checksum anew and appends link id, timestamp and tag;
-/// every other byte stays. Signing again is rejected and changes nothing.
+/// S1: signing sets the flag, computes a new checksum and appends link id, timestamp and tag. Every
+/// other byte stays. Signing again is rejected and changes nothing.
 ///
 /// S2, the sender's half: the tag is the one over exactly the bytes before it, asked for once.
 ///
@@ -59,9 +59,9 @@ pub fn signs_in_place<P: Profile>(
     assert_eq!((bytes.len(), bytes.get(index).copied()), kept);
 }
 
-/// S2: what a signed frame says, its header, stamp and payload, is a matter of its transcript, the
-/// bytes before its tag, alone: with another tag in place of its own, `bytes` say the same. So two
-/// frames with equal transcripts say the same. `index` is the byte of the payload that is compared.
+/// S2: what a signed frame says, its header, stamp and payload, is a matter of its transcript alone, the
+/// bytes before its tag. With another tag in place of its own, `bytes` say the same. So two frames with
+/// equal transcripts say the same. `index` is the byte of the payload that is compared.
 ///
 /// Returns the frame's length; `None` if `bytes` do not begin with a signed frame.
 ///
@@ -87,9 +87,9 @@ fn what_is_said(bytes: &[u8], index: usize) -> Option<(usize, (Header, Stamp, u8
     Some((bytes.len(), (frame.header(), stamp, bytes[1], byte)))
 }
 
-/// V3: what is signed verifies, with the same key, at the moment of its stamp, by a receiver of its
-/// link that has accepted nothing; what comes out is what went in. `index` is the byte of the
-/// payload that is compared.
+/// V3: what is signed verifies, with the same key, at the moment of its stamp, by a receiver of its link
+/// that has accepted nothing. What comes out is what went in. `index` is the byte of the payload that is
+/// compared.
 ///
 /// # Panics
 ///
@@ -118,7 +118,7 @@ pub fn signed_verifies<P: Profile>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use crate::model::Witness;
     use mavlink_signing::crc::checksum;
     use mavlink_signing::{Hmac, Timestamp};
@@ -229,13 +229,12 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::HEARTBEAT;
-    use crate::model::{AnyTag, Witness, any_checksum, set_checksum};
-    use crate::replay::any_stamp;
+    use crate::model::HEARTBEAT;
+    use crate::model::any_stamp;
+    use crate::model::{AnyTag, Witness, any_checksum};
     use mavlink_signing::field::MAX_FRAME_SIZE;
 
     fn signs<const LENGTH: usize>() {
-        set_checksum(kani::any());
         let payload: [u8; LENGTH] = kani::any();
         let chosen = kani::any();
         let key = SigningKey::<Witness>::new(&Witness::key(chosen)).expect("a key");
@@ -250,7 +249,7 @@ mod verification {
         kani::cover!(index == LENGTH + 24, "the last byte of the frame");
     }
 
-    crate::for_payload_lengths! { signs:
+    crate::model::for_payload_lengths! { signs:
         s1_signs_in_place_0 0 unwind 33,
         s1_signs_in_place_1 1 unwind 33,
         s1_signs_in_place_9 9 unwind 36,
@@ -268,7 +267,6 @@ mod verification {
     }
 
     fn verifies<const LENGTH: usize>() {
-        set_checksum(kani::any());
         let payload: [u8; LENGTH] = kani::any();
         let mut secret: [u8; 32] = kani::any();
         secret[31] = 1;
@@ -278,7 +276,7 @@ mod verification {
         kani::cover!(true, "it ends");
     }
 
-    crate::for_payload_lengths! { verifies:
+    crate::model::for_payload_lengths! { verifies:
         v3_signed_verifies_0 0 unwind 33,
         v3_signed_verifies_9 9 unwind 36,
         v3_signed_verifies_30 30 unwind 57,

@@ -3,8 +3,8 @@
 use mavlink_signing::{SignError, Stamper, Timestamp};
 
 /// T1, from any state a sender can be resumed in: the stamp is for the sender's link, not before
-/// `first`, not before the clock, and the smallest such; the next one is greater whatever the clock
-/// does; after 2^48 - 1 there is none, and the sender stays at its end.
+/// `first`, not before the clock, and the smallest such. The next one is greater whatever the clock
+/// does. After 2^48 - 1 there is none, and the sender stays at its end.
 ///
 /// Returns the two timestamps that were given.
 ///
@@ -82,7 +82,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::replay::any_timestamp;
+    use crate::model::any_timestamp;
 
     #[kani::proof]
     #[kani::unwind(9)]

@@ -5,10 +5,11 @@ use mavlink_signing::{
     VerifyError, authenticate, sign_frame,
 };
 
-/// R2, one step from any state: an authentic frame is accepted if and only if it is of a link that is
-/// taken, in the window, newer than every accepted one of its stream, and has a row or a free one on a
-/// link that is not closed; otherwise the error names the first that is wrong. An accepted frame changes
-/// the row of its stream alone; a rejected one changes nothing; no row is ever lost, and no link closed.
+/// R2, one step from any state: an authentic frame is accepted if and only if all of these hold. It is
+/// of a link that is taken, in the window, and newer than every accepted one of its stream. It has a
+/// row, or there is a free one and its link is not closed. Otherwise the error names the first that is
+/// wrong. An accepted frame changes the row of its stream alone; a rejected one changes nothing; no row
+/// is ever lost, and no link closed.
 ///
 /// `first` is the first timestamp that is fresh in a new stream. Returns the verdict.
 ///
@@ -60,8 +61,8 @@ pub fn step<P: Profile, const N: usize>(
     verdict
 }
 
-/// R2, of what this end sends: it is rejected when it comes back, whether or not there was a row for it;
-/// no other row changes, and none is lost. If there was none, its link is closed; a link that was closed
+/// R2, of what this end sends: it is rejected when it comes back, whether or not there was a row for it.
+/// No other row changes, and none is lost. If there was none, its link is closed; a link that was closed
 /// stays so. As rows do not go back ([`step`]), it is rejected later too. A frame without signature
 /// changes nothing. Returns why it is rejected.
 ///
@@ -187,7 +188,7 @@ fn specified<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, Window};
     use proptest::prelude::*;
 
@@ -239,6 +240,31 @@ mod tests {
         assert_eq!(verdict(2, 4), Ok(()));
     }
 
+    /// Rows of peers do not count as its own: half of the table is left to it, if it is there first.
+    #[test]
+    fn r2_peers_before_own() {
+        let at = |ticks| Timestamp::from_ticks(ticks).expect("48 bits");
+        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let mut streams = StreamTable::<4>::new(Links::Any, Window::STRICT);
+        let header = |system_id| Header {
+            system_id,
+            ..HEARTBEAT
+        };
+        let stamp = |link_id| Stamp {
+            link_id,
+            timestamp: at(5),
+        };
+        for system_id in [200, 201] {
+            let (header, stamp) = (header(system_id), stamp(2));
+            step(&mut streams, Timestamp::ZERO, &key, header, stamp, at(9)).expect("a row");
+        }
+        for system_id in [1, 2] {
+            let rejection = reflected(&mut streams, &key, header(system_id), stamp(1), at(9));
+            assert_eq!(rejection, VerifyError::Replayed);
+        }
+        assert_eq!((streams.rows().count(), streams.closed()), (4, None));
+    }
+
     /// What this end sends leaves half of the table to peers, on other links than its own.
     #[test]
     fn r2_own_half() {
@@ -275,9 +301,9 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::HEARTBEAT;
     use crate::model::AnyTag;
-    use crate::replay::{any_stamp, any_timestamp};
+    use crate::model::HEARTBEAT;
+    use crate::model::{any_stamp, any_timestamp};
     use mavlink_signing::Window;
 
     /// Any table of two with `TAKEN` rows in use, and any first timestamp: how many rows there are is
@@ -322,12 +348,21 @@ mod verification {
 
     fn steps<const TAKEN: usize>() {
         let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let (mut streams, first, _) = any_streams::<TAKEN>();
+        let (mut streams, first, own) = any_streams::<TAKEN>();
         let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
+        let (links, window) = (streams.links(), streams.window());
         let verdict = step(&mut streams, first, &key, header, stamp, now);
+        assert_eq!((streams.links(), streams.window()), (links, window));
+        assert_eq!(streams.floor(), Some(first), "of every stream");
+        assert_eq!(streams.own_rows(), own, "a peer's row is not its own");
         kani::cover!(verdict.is_ok(), "accepted");
         kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
         kani::cover!(verdict == Err(VerifyError::StreamsFull), "full, or closed");
+        kani::cover!(verdict == Err(VerifyError::FromFuture), "from the future");
+        kani::cover!(
+            matches!(verdict, Err(VerifyError::WrongLink(_))),
+            "wrong link"
+        );
     }
 
     #[kani::proof]
@@ -350,11 +385,13 @@ mod verification {
 
     fn comes_back<const TAKEN: usize>() {
         let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let (mut streams, _, own) = any_streams::<TAKEN>();
+        let (mut streams, first, own) = any_streams::<TAKEN>();
         let (header, stamp, now) = (any_header(), any_stamp(), any_timestamp());
         let rejection = reflected(&mut streams, &key, header, stamp, now);
         let taken = streams.rows().count() > TAKEN;
         assert!(!taken || own == 0, "half of two rows");
+        assert_eq!(streams.own_rows(), own + usize::from(taken));
+        assert_eq!(streams.floor(), Some(first), "of every stream");
         kani::cover!(rejection == VerifyError::Replayed, "replayed");
         kani::cover!(rejection == VerifyError::TooOld, "too old");
         kani::cover!(matches!(rejection, VerifyError::WrongLink(_)), "wrong link");

@@ -110,7 +110,7 @@ pub fn repair_checksum(bytes: &mut [u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{Hmac, Timestamp};
     use proptest::prelude::*;
 

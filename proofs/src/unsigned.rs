@@ -2,19 +2,19 @@
 
 use core::cell::Cell;
 
-use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::{
-    Claim, FrameRef, Packet, Profile, SETUP_SIGNING, SigningKey, Timestamp, VerifyError,
-    accept_unsigned,
+    Claim, FrameRef, Packet, Profile, SETUP_SIGNING, SignError, SigningKey, Timestamp, VerifyError,
+    accept_unsigned, authenticate,
 };
 use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Verifier};
 
 use crate::model::Resumed;
+use crate::wire::known_and_undamaged;
 
-/// U1: a frame is accepted if and only if it is unsigned, known and undamaged, and the policy says so;
-/// otherwise the error names the first that is wrong. The policy is asked once if it decides and not at
-/// all if it does not, about what the frame says and the link it came in on. What is accepted is the
-/// frame as it came.
+/// U1: a frame is accepted if and only if it is unsigned, known and undamaged, and the policy says so.
+/// Otherwise the error names the first that is wrong. The policy is asked once if it decides, and not at
+/// all if it does not. It is told what the frame says and the link it came in on. What is accepted is
+/// the frame as it came.
 ///
 /// # Errors
 ///
@@ -47,12 +47,11 @@ pub fn policy_decides(
         accepts
     };
     let accepted = accept_unsigned(received, link_id, &policy);
-    let id = header.message_id;
-    let before = match crc_extra(id) {
-        _ if received.is_signed() => Err(VerifyError::Signed),
-        None => Err(VerifyError::UnknownMessage(id)),
-        Some(extra) if !received.checksum_matches(extra) => Err(VerifyError::BadChecksum),
-        Some(_) => Ok(()),
+    let before = match known_and_undamaged(received.as_bytes()) {
+        _ if received.as_bytes()[2] != 0 => Err(VerifyError::Signed),
+        Err(SignError::UnknownMessage(id)) => Err(VerifyError::UnknownMessage(id)),
+        Err(_) => Err(VerifyError::BadChecksum),
+        Ok(_) => Ok(()),
     };
     assert_eq!(asked.get(), u8::from(before.is_ok()));
     let expected = match before {
@@ -74,8 +73,11 @@ pub fn policy_decides(
     verdict
 }
 
-/// U1, in the relay: with a policy that accepts everything, a frame leaves as unsigned if and only if it
-/// came unsigned, known and undamaged, and is not SETUP_SIGNING; it is then byte for byte the same. The
+/// What the policy is told of the link.
+const LINK_ID: u8 = 3;
+
+/// U1, in the relay, with a policy that accepts everything: a frame leaves as unsigned if and only if it
+/// came unsigned, known and undamaged, and is not SETUP_SIGNING. It is then byte for byte the same. The
 /// policy is never asked about a signed one. Returns the rejection.
 ///
 /// # Errors
@@ -93,28 +95,44 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
     index: usize,
 ) -> Result<(), RejectReason> {
     let asked = Cell::new(0_u8);
-    let policy = |_: Claim| {
+    let header = received.header();
+    let policy = |claim: Claim| {
         asked.set(asked.get() + 1);
+        assert_eq!(claim.link_id, LINK_ID);
+        assert_eq!(claim.system_id, header.system_id);
+        assert_eq!(claim.component_id, header.component_id);
+        assert_eq!(claim.message_id, header.message_id);
         true
     };
     let mut verifier =
-        Verifier::new(receiver.replay(), ForwardMode::KeepSignature).accepting(1, policy);
+        Verifier::new(receiver.replay(), ForwardMode::KeepSignature).accepting(LINK_ID, policy);
     let handed_on = verifier.verify(Packet::Mavlink2(received), &mut &*key, &mut { now });
-    let id = received.header().message_id;
-    let unsigned = match crc_extra(id) {
-        _ if received.is_signed() => None,
+    let id = header.message_id;
+    let unsigned = match known_and_undamaged(received.as_bytes()) {
+        _ if received.as_bytes()[2] != 0 => None,
         _ if id == SETUP_SIGNING => Some(Err(RejectReason::SetupSigning)),
-        None => Some(Err(RejectReason::UnknownMessage)),
-        Some(extra) if !received.checksum_matches(extra) => Some(Err(RejectReason::BadChecksum)),
-        Some(_) => Some(Ok(())),
+        Err(SignError::UnknownMessage(_)) => Some(Err(RejectReason::UnknownMessage)),
+        Err(_) => Some(Err(RejectReason::BadChecksum)),
+        Ok(_) => Some(Ok(())),
     };
     assert_eq!(asked.get(), u8::from(unsigned == Some(Ok(()))));
-    if let Some(expected) = unsigned {
-        assert_eq!(handed_on.as_ref().map(drop), expected.as_ref().map(drop));
-    }
-    let frame = match handed_on? {
+    let expected = match unsigned {
+        Some(expected) => expected,
+        None if id == SETUP_SIGNING => Err(RejectReason::SetupSigning),
+        None => {
+            let mut replay = receiver.replay();
+            let verdict = authenticate(received, key).and_then(|it| replay.admit(it, now));
+            verdict.map(drop).map_err(RejectReason::from)
+        }
+    };
+    assert_eq!(handed_on.as_ref().map(drop), expected.as_ref().map(drop));
+    let Ok(handed_on) = handed_on else {
+        return expected;
+    };
+    let frame = match handed_on {
         Forwarded::Verified(frame) => {
             assert!(received.is_signed() && id != SETUP_SIGNING);
+            assert!(known_and_undamaged(received.as_bytes()).is_ok());
             frame
         }
         Forwarded::Unsigned(frame) => {
@@ -133,7 +151,7 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::HEARTBEAT;
+    use crate::model::HEARTBEAT;
     use mavlink_signing::{
         AllowLink, AllowRadioStatus, Frame, Hmac, MessageId, RejectUnsigned, Stamp, UnsignedPolicy,
         Window, sign_frame,
@@ -181,6 +199,20 @@ mod tests {
         }
     }
 
+    /// Each bit of a frame without signature, one after the other: no policy is asked about it.
+    #[test]
+    fn u1_each_bit() {
+        let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
+        for place in 3..frame.as_bytes().len() {
+            for bit in 0..8 {
+                let mut bytes = frame.as_bytes().to_vec();
+                bytes[place] ^= 1 << bit;
+                let received = FrameRef::parse(&bytes).expect("a whole frame");
+                assert!(policy_decides(received, 1, true).is_err());
+            }
+        }
+    }
+
     /// What the three policies say.
     #[test]
     fn u1_policies() {
@@ -205,15 +237,13 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::{AnyTag, any_prefix, set_checksum};
-    use crate::replay::any_timestamp;
+    use crate::model::{any_key, any_prefix, any_timestamp};
     use mavlink_signing::field::{MAGIC, MAX_FRAME_SIZE};
 
     #[kani::proof]
     #[kani::unwind(33)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn u1_policy_decides() {
-        set_checksum(kani::any());
         let bytes: [u8; MAX_FRAME_SIZE] = kani::any();
         let Ok(received) = FrameRef::parse(any_prefix(&bytes)) else {
             return;
@@ -226,16 +256,13 @@ mod verification {
         );
         kani::cover!(verdict == Err(VerifyError::Signed), "signed");
         kani::cover!(verdict == Err(VerifyError::BadChecksum), "damaged");
-    }
-
-    fn any_key() -> SigningKey<AnyTag> {
-        let mut secret: [u8; 32] = kani::any();
-        secret[31] = 1;
-        SigningKey::new(&secret).expect("not zero")
+        kani::cover!(
+            matches!(verdict, Err(VerifyError::UnknownMessage(_))),
+            "unknown"
+        );
     }
 
     fn leaves<const SIZE: usize>(signed: bool) -> Result<(), RejectReason> {
-        set_checksum(kani::any());
         let mut bytes: [u8; SIZE] = kani::any();
         let payload_length = if signed { SIZE - 25 } else { SIZE - 12 };
         [bytes[0], bytes[1], bytes[2]] = [MAGIC, payload_length as u8, signed.into()];
@@ -253,6 +280,7 @@ mod verification {
         let handed_on = leaves::<SIZE>(true);
         kani::cover!(handed_on.is_ok(), "verified");
         kani::cover!(handed_on == Err(RejectReason::BadTag), "forged");
+        kani::cover!(handed_on == Err(RejectReason::BadChecksum), "damaged");
         kani::cover!(handed_on == Err(RejectReason::Replayed), "replayed");
     }
 
@@ -267,11 +295,11 @@ mod verification {
     }
 
     // The harness's number is the payload's length, the literal the frame's.
-    crate::for_payload_lengths! { signed:
+    crate::model::for_payload_lengths! { signed:
         u1_signed_is_not_asked_about_9 34 unwind 36,
     }
 
-    crate::for_payload_lengths! { unsigned:
+    crate::model::for_payload_lengths! { unsigned:
         u1_unsigned_leaves_as_it_came_9 21 unwind 33,
     }
 }

@@ -45,7 +45,7 @@ pub enum RejectReason {
     /// Signed with another key, or forged.
     #[strum(serialize = "bad tag")]
     BadTag,
-    /// Authentic, but made for another link; with [`ReplayGuard`](mavlink_signing::Replay) also one's own
+    /// Authentic, but made for another link; with [`ReplayGuard`](mavlink_signing::ReplayGuard) also one's own
     /// frames, reflected.
     #[strum(serialize = "wrong link")]
     WrongLink,
@@ -64,6 +64,9 @@ pub enum RejectReason {
     /// To be signed, or authentic and in order, but no mark above its stamp can be stored.
     #[strum(serialize = "not stored")]
     NotStored,
+    /// Passed on, but the line was closed before the whole frame had left.
+    #[strum(serialize = "line closed")]
+    LineClosed,
     /// An error that this version of the relay does not know.
     #[strum(serialize = "other")]
     Other,

@@ -26,7 +26,7 @@ pub struct FlashKeyStore<F> {
 
 impl<F: NorFlash> FlashKeyStore<F> {
     /// The slots in `region` of `flash`, and the keys that they hold; `None` if they are
-    /// [empty](KeySlots::is_empty), or hold something that cannot be relied on: nothing is signed or accepted
+    /// [empty](FlashKeyStore::is_empty), or hold something that cannot be relied on: nothing is signed or accepted
     /// then.
     ///
     /// What is found is stored again before it is relied on, and what was given up is erased: 80 bytes for each

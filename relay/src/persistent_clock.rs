@@ -176,6 +176,10 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         self.clock.now(now)
     }
 
+    fn monotonic(&mut self) -> u64 {
+        (self.timer)()
+    }
+
     fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
         let now = (self.timer)();
         self.clock.reference_time(stamp, now)
@@ -198,12 +202,6 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
     fn on_accepted(&mut self, frame: &Verified<'_>) {
         let now = (self.timer)();
         self.clock.on_accepted(frame, now);
-    }
-}
-
-impl<F: NorFlash, T: FnMut() -> u64> crate::Clock for PersistentClock<F, T> {
-    fn timer(&mut self) -> u64 {
-        (self.timer)()
     }
 }
 

@@ -1,133 +1,136 @@
-//! One direction: bytes in, packets treated, frames out, without waiting.
+//! One direction: bytes in, packets treated, frames out.
 
-use embedded_io::{Read, ReadReady, Write, WriteReady};
-use mavlink_signing::{Frame, FrameRef, KeyRing, Profile};
+use mavlink_signing::{Frame, FrameRef, KeyRing, LinkClock, Profile};
 
 use crate::direction::PacketHandler;
-use crate::event::{Counters, Event, RejectedPacket};
-use crate::port::{PacketReader, PortError, send};
-use crate::{Clock, Link};
+use crate::event::{Counters, Event, RejectReason, RejectedPacket};
+use crate::reader::PacketReader;
 
 /// A direction of the relay.
 #[derive(Debug)]
 pub(crate) struct Pump<T> {
-    reader: PacketReader,
-    handler: T,
-    sending: Option<Sending>,
-    counters: Counters,
+    pub(crate) lane: Lane,
+    pub(crate) handler: T,
 }
 
-/// A frame of which `sent` bytes have left.
+/// What a direction holds, whatever is done to its packets.
 #[derive(Debug)]
-struct Sending {
-    frame: Frame,
+pub(crate) struct Lane {
+    pub(crate) reader: PacketReader,
+    /// The frame that goes out, and how many of its bytes have left.
+    sending: Option<Frame>,
     sent: usize,
+    pub(crate) counters: Counters,
 }
 
-impl<T> Pump<T> {
-    pub(crate) const fn counters(&self) -> &Counters {
-        &self.counters
+impl Lane {
+    /// What is left of the frame that goes out.
+    pub(crate) fn pending(&self) -> &[u8] {
+        let sending = self.sending.as_ref();
+        sending
+            .and_then(|frame| frame.as_bytes().get(self.sent..))
+            .unwrap_or_default()
     }
 
-    pub(crate) const fn handler_mut(&mut self) -> &mut T {
-        &mut self.handler
+    /// Takes note of `count` bytes that have left; whether the frame has left with them.
+    pub(crate) fn sent(&mut self, count: usize) -> bool {
+        let Some(frame) = &self.sending else {
+            return false;
+        };
+        self.sent = self.sent.saturating_add(count);
+        let left = self.sent >= frame.as_bytes().len();
+        if left {
+            self.sending = None;
+        }
+        left
     }
 
-    /// The frame of which no byte has left: every frame is here when a turn has ended in which it was
-    /// made.
-    pub(crate) fn unsent(&self) -> Option<FrameRef<'_>> {
-        let sending = self.sending.as_ref().filter(|sending| sending.sent == 0)?;
-        FrameRef::parse(sending.frame.as_bytes()).ok()
+    /// Drops the frame that was to go out; whether there was one.
+    pub(crate) fn drop_frame(&mut self) -> bool {
+        let dropped = self.sending.take().is_some();
+        if dropped {
+            self.counters.count_rejected(RejectReason::LineClosed, None);
+        }
+        dropped
+    }
+
+    /// When the line that is read will have been silent for long. While a frame waits to go out, the
+    /// sender on that line may be held back, and that is no silence.
+    pub(crate) fn idle_at(&self) -> Option<u64> {
+        if self.sending.is_some() {
+            return None;
+        }
+        self.reader.idle_at()
     }
 }
 
 impl<T: PacketHandler> Pump<T> {
     pub(crate) fn new(handler: T) -> Self {
         Self {
-            reader: PacketReader::new(T::RESYNC),
+            lane: Lane {
+                reader: PacketReader::new(T::RESYNC),
+                sending: None,
+                sent: 0,
+                counters: Counters::default(),
+            },
             handler,
-            sending: None,
-            counters: Counters::default(),
         }
     }
 
     /// The same direction, which treats packets otherwise from now on.
     pub(crate) fn map<U: PacketHandler>(self, change: impl FnOnce(T) -> U) -> Pump<U> {
         Pump {
-            reader: self.reader,
+            lane: self.lane,
             handler: change(self.handler),
-            sending: self.sending,
-            counters: self.counters,
         }
     }
 
-    /// One turn; whether there is more to do at once.
-    pub(crate) fn poll<P: Profile, Input: Read + ReadReady, Output: Write + WriteReady>(
+    /// Looks at packets that have arrived until one becomes a frame to send, which is given, or no more are there.
+    pub(crate) fn advance<P: Profile>(
         &mut self,
-        input: &mut Input,
-        output: &mut Output,
-        link: &mut Link<P>,
-        clock: &mut impl Clock,
+        keys: &mut KeyRing<P>,
+        clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
-    ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let now = clock.timer();
-        let sent = self.send(output)?;
-        if sent || self.sending.is_some() {
-            self.reader.restart_idle_timer(now);
-        }
+    ) -> Option<FrameRef<'_>> {
         // The frame being sent is the bound on memory: no next one before it has left.
-        if self.sending.is_some() {
-            return Ok(sent);
+        if self.lane.sending.is_some() {
+            return None;
         }
-        if self.process_next(&mut link.keys, clock, observe) {
-            return Ok(true);
-        }
-        let received = self.reader.receive(input, link.idle, now)?;
-        Ok(sent || received)
-    }
-
-    /// Writes what is left of the frame being sent; whether any byte left.
-    fn send<InputError, Output: Write + WriteReady>(
-        &mut self,
-        output: &mut Output,
-    ) -> Result<bool, PortError<InputError, Output::Error>> {
-        let Some(Sending { frame, sent }) = &mut self.sending else {
-            return Ok(false);
-        };
-        let moved = send(output, frame.as_bytes(), sent)?;
-        if *sent >= frame.as_bytes().len() {
-            self.sending = None;
-        }
-        Ok(moved)
+        while self.lane.sending.is_none() && self.process_next(keys, clock, observe) {}
+        FrameRef::parse(self.lane.sending.as_ref()?.as_bytes()).ok()
     }
 
     /// Looks at the next packet that has arrived; whether there was one.
     fn process_next<P: Profile>(
         &mut self,
         keys: &mut KeyRing<P>,
-        clock: &mut impl Clock,
+        clock: &mut impl LinkClock,
         observe: &mut impl FnMut(Event),
     ) -> bool {
-        let decoded = self.reader.read();
-        let processed = decoded.map(|decoded| match decoded {
-            Ok(packet) => {
-                let processed = self.handler.process(packet, keys, clock);
-                processed
-                    .map_err(|rejection| (rejection, Some(RejectedPacket::new(&packet, rejection))))
-            }
-            Err(error) => Err((error.into(), None)),
-        });
-        self.counters.set_dropped(self.reader.dropped());
+        let Self { lane, handler } = self;
+        let processed = match lane.reader.read() {
+            None => Ok(None),
+            Some(Err(error)) => Err((error.into(), None)),
+            Some(Ok(packet)) => match handler.process(packet, keys, clock) {
+                // Straight to its place: a frame takes 280 bytes of stack.
+                Ok((frame, event)) => {
+                    lane.sending = Some(frame);
+                    lane.sent = 0;
+                    Ok(Some(event))
+                }
+                Err(reason) => Err((reason, Some(RejectedPacket::new(&packet, reason)))),
+            },
+        };
+        lane.counters.set_dropped(lane.reader.dropped());
         match processed {
-            None => return false,
-            Some(Ok((frame, event))) => {
-                self.sending = Some(Sending { frame, sent: 0 });
-                self.counters.count_passed(event);
+            Ok(None) => return false,
+            Ok(Some(event)) => {
+                lane.counters.count_passed(event);
                 observe(event);
             }
-            Some(Err((rejection, rejected))) => {
-                self.counters.count_rejected(rejection, rejected);
-                observe(Event::Rejected(T::DIRECTION, rejection));
+            Err((reason, packet)) => {
+                lane.counters.count_rejected(reason, packet);
+                observe(Event::Rejected(T::DIRECTION, reason));
             }
         }
         true

@@ -24,7 +24,7 @@
 //! | the mark of the counters to seal with is up to [`SENT_RESERVATION`] ahead | a restart uses up so many of 2^32 |
 //! | that of those accepted is up to [`ACCEPTED_RESERVATION`] ahead | after a restart, so many packages of each peer may be rejected |
 //! | a mark is stored for each so many packages | flash: see `mavseal-store`, Wear |
-//! | what cannot be remembered is rejected | with a worn-out flash the link ends: [`RejectReason::NotStored`] |
+//! | what cannot be remembered is rejected | with a worn-out flash the link ends: [`SealedRejectReason::NotStored`] |
 //!
 //! Marks belong to keys. Whoever changes a key erases its mark; nobody erases a mark and keeps the key. They
 //! are told apart by their order alone: a peer that is taken out, or another order, would hand one peer's mark
@@ -32,24 +32,23 @@
 
 mod event;
 
-pub use event::{Counters, Event, RejectReason};
+pub use event::{SealedCounters, SealedEvent, SealedRejectReason};
 
 use core::fmt;
 use core::time::Duration;
 
-use embedded_io::{Read, ReadReady, Write, WriteReady};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 use mavlink_commsec::radio::{Answer, RADIO_PACKET_SIZE, Request, Status};
 use mavlink_commsec::{
     AesGcm, Cipher, Credential, Opener, Packer, PermitError, Plaintext, Sealer, SenderId, field, hx,
 };
-use mavlink_signing::{Resync, TICKS_PER_SECOND};
+use mavlink_signing::{LinkClock, Resync, TICKS_PER_SECOND};
 use mavseal_store::HighWaterMark;
 
+use crate::endpoint::{Endpoint, LineEvent, Side};
 use crate::event::Direction;
-use crate::port::{PacketReader, PortError, READ_SIZE, send};
-use crate::{IDLE, Polled, Port};
+use crate::reader::PacketReader;
 
 /// How far the mark is stored ahead of the counters that this end seals with.
 pub const SENT_RESERVATION: u64 = 256;
@@ -93,8 +92,8 @@ pub struct SealedEndpoint<F, const N: usize, C: Cipher = AesGcm> {
 impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
     /// The end that seals as `own` and opens what `peers` have sealed, from where `marks` say.
     ///
-    /// No packet waits for others for longer than twice `maximum delay`, if [`SealedEndpoint::poll`] is called as often as it
-    /// asks for.
+    /// No packet waits for others for longer than twice `max_delay`, if [`poll`](Endpoint::poll) is called when
+    /// [`poll_at`](Endpoint::poll_at) says.
     ///
     /// # Errors
     ///
@@ -119,12 +118,11 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
         Ok(Self {
             outward: Egress {
                 reader: PacketReader::new(Resync::AnnouncedEnd),
-                idle: IDLE,
                 packer: Packer::new(max_delay),
                 sealer: Sealer::resume(own.prepare()?, own.id, first),
                 mark: sent,
                 line: TxBuffer::new(),
-                counters: Counters::default(),
+                counters: SealedCounters::default(),
             },
             inward: Ingress {
                 decoder: hx::Decoder::new(),
@@ -132,7 +130,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
                 peers: peers.each_ref().map(|peer| peer.id),
                 marks: accepted,
                 line: TxBuffer::new(),
-                counters: Counters::default(),
+                counters: SealedCounters::default(),
             },
             radio: RadioPoller {
                 radio,
@@ -144,38 +142,12 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
         })
     }
 
-    /// The same end with `ticks` of silence on the local side in place of [`IDLE`]: longer than any pause
+    /// The same end with `ticks` of silence on the local side in place of [`IDLE`](crate::IDLE): longer than any pause
     /// within a packet.
     #[must_use]
     pub const fn idle(mut self, ticks: u64) -> Self {
-        self.outward.idle = ticks;
+        self.outward.reader.set_idle(ticks);
         self
-    }
-
-    /// Takes one turn in each direction without waiting: sends what is left; when all of it has left,
-    /// looks at what comes next; when there is nothing, reads up to 64 bytes, those of the radio one at
-    /// a time.
-    ///
-    /// `now` is the time since any start in ticks of 10 microseconds, by a timer that never goes back.
-    /// `observe` sees what became of everything, in order. Call it again at once while
-    /// [`Polled::moved`]; otherwise when a port has become ready, and at least every [`IDLE`] and every
-    /// maximum delay. In what it returns, the radio is the link side.
-    pub fn poll<Local: Port, Air: Port>(
-        &mut self,
-        local: &mut Local,
-        air: &mut Air,
-        now: u64,
-        observe: &mut impl FnMut(Event),
-    ) -> Polled<Local::Error, Air::Error> {
-        let Self {
-            outward,
-            inward,
-            radio,
-        } = self;
-        Polled {
-            outbound: outward.poll(local, air, radio, now, observe),
-            inbound: inward.poll(air, local, radio, observe),
-        }
     }
 
     /// The counter of the next package to be sealed; `None` when all are used up.
@@ -191,13 +163,13 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
 
     /// What has been sealed and rejected on its way to the radio.
     #[must_use]
-    pub const fn sealed(&self) -> &Counters {
+    pub const fn sealed(&self) -> &SealedCounters {
         &self.outward.counters
     }
 
     /// What has been opened and rejected on its way from the radio.
     #[must_use]
-    pub const fn opened(&self) -> &Counters {
+    pub const fn opened(&self) -> &SealedCounters {
         &self.inward.counters
     }
 
@@ -205,6 +177,126 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
     pub fn into_flashes(self) -> (F, [F; N]) {
         let accepted = self.inward.marks.map(HighWaterMark::into_flash);
         (self.outward.mark.into_flash(), accepted)
+    }
+}
+
+impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C> {
+    type Event = SealedEvent;
+
+    fn room(&self, side: Side) -> usize {
+        match side {
+            Side::Local => self.outward.reader.room(),
+            // What is behind a package waits for its packets to leave.
+            Side::Link => usize::from(self.inward.line.is_empty()),
+        }
+    }
+
+    fn received(
+        &mut self,
+        side: Side,
+        bytes: &[u8],
+        clock: &mut impl LinkClock,
+        observe: &mut impl FnMut(SealedEvent),
+    ) -> usize {
+        let Self {
+            outward,
+            inward,
+            radio,
+        } = self;
+        let now = clock.monotonic();
+        let mut taken = 0;
+        match side {
+            Side::Local => loop {
+                let rest = bytes.get(taken..).unwrap_or_default();
+                let count = outward.reader.write(rest, now);
+                if count == 0 {
+                    break;
+                }
+                taken += count;
+                outward.advance(radio, now, observe);
+            },
+            Side::Link => {
+                for byte in bytes {
+                    if !inward.line.is_empty() {
+                        break;
+                    }
+                    taken += 1;
+                    inward.push(*byte, radio, observe);
+                    // The radio's answer may be for the stations.
+                    outward.advance(radio, now, observe);
+                }
+            }
+        }
+        taken
+    }
+
+    fn pending(&self, side: Side) -> &[u8] {
+        match side {
+            Side::Local => self.inward.line.pending(),
+            Side::Link => self.outward.line.pending(),
+        }
+    }
+
+    fn sent(
+        &mut self,
+        side: Side,
+        count: usize,
+        clock: &mut impl LinkClock,
+        observe: &mut impl FnMut(SealedEvent),
+    ) {
+        match side {
+            Side::Local => {
+                self.inward.line.sent(count);
+            }
+            Side::Link => {
+                if self.outward.line.sent(count) {
+                    let now = clock.monotonic();
+                    self.outward.reader.restart_idle_timer(now);
+                    self.outward.advance(&mut self.radio, now, observe);
+                }
+            }
+        }
+    }
+
+    fn line_event(
+        &mut self,
+        side: Side,
+        event: LineEvent,
+        clock: &mut impl LinkClock,
+        observe: &mut impl FnMut(SealedEvent),
+    ) {
+        let Self {
+            outward,
+            inward,
+            radio,
+        } = self;
+        let now = clock.monotonic();
+        match (side, event) {
+            (Side::Local, LineEvent::Idle) => outward.reader.silent(),
+            (Side::Local, _) => outward.reader.deafen(now),
+            // A frame from the radio ends with a byte of its own.
+            (Side::Link, LineEvent::Idle) => {}
+            (Side::Link, _) => inward.decoder = hx::Decoder::new(),
+        }
+        if event == LineEvent::Closed {
+            match side {
+                Side::Local => inward.drop_packets(observe),
+                Side::Link => outward.drop_frame(observe),
+            }
+        }
+        outward.advance(radio, now, observe);
+    }
+
+    fn poll_at(&self) -> Option<u64> {
+        self.outward.poll_at(&self.radio)
+    }
+
+    fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(SealedEvent)) {
+        let now = clock.monotonic();
+        if self.outward.idle_at().is_some_and(|at| now >= at) {
+            self.outward.reader.silent();
+        }
+        self.outward.advance(&mut self.radio, now, observe);
     }
 }
 
@@ -247,60 +339,65 @@ impl<const SIZE: usize> TxBuffer<SIZE> {
         }
     }
 
-    /// Writes what is left, as far as the port takes it; whether any byte left.
-    fn send<InputError, Output: Write + WriteReady>(
-        &mut self,
-        output: &mut Output,
-    ) -> Result<bool, PortError<InputError, Output::Error>> {
-        let moved = send(output, &self.bytes, &mut self.sent)?;
-        if self.sent >= self.bytes.len() {
-            self.bytes.clear();
-            self.sent = 0;
+    fn pending(&self) -> &[u8] {
+        self.bytes.get(self.sent..).unwrap_or_default()
+    }
+
+    /// Takes note of `count` bytes that have left; whether the last has left with them.
+    fn sent(&mut self, count: usize) -> bool {
+        self.sent = self.sent.saturating_add(count);
+        let left = !self.is_empty() && self.sent >= self.bytes.len();
+        if left {
+            self.clear();
         }
-        Ok(moved)
+        left
+    }
+
+    fn clear(&mut self) {
+        self.bytes.clear();
+        self.sent = 0;
     }
 }
 
 /// From the local side to the radio.
 struct Egress<F, C: Cipher> {
     reader: PacketReader,
-    /// Ticks of silence that end a packet.
-    idle: u64,
     packer: Packer,
     sealer: Sealer<C>,
     mark: HighWaterMark<F>,
     line: TxBuffer<{ hx::MAX_ENCODED_SIZE }>,
-    counters: Counters,
+    counters: SealedCounters,
 }
 
 impl<F: NorFlash, C: Cipher> Egress<F, C> {
-    /// One turn; whether there is more to do at once.
-    fn poll<Input: Read + ReadReady, Output: Write + WriteReady>(
+    /// Makes the next frame for the radio, or as much of one as there is to make.
+    fn advance(
         &mut self,
-        input: &mut Input,
-        output: &mut Output,
         radio: &mut RadioPoller,
         now: u64,
-        observe: &mut impl FnMut(Event),
-    ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let sent = self.line.send(output)?;
-        if sent || !self.line.is_empty() {
-            self.reader.restart_idle_timer(now);
-        }
+        observe: &mut impl FnMut(SealedEvent),
+    ) {
         // The frame being sent is the bound on memory: no next one before it has left.
-        if !self.line.is_empty() {
-            return Ok(sent);
-        }
+        while self.line.is_empty() && self.step(radio, now, observe) {}
+    }
+
+    /// Does one thing; whether there was one to do.
+    fn step(
+        &mut self,
+        radio: &mut RadioPoller,
+        now: u64,
+        observe: &mut impl FnMut(SealedEvent),
+    ) -> bool {
         let since = Duration::from_micros(now.saturating_mul(MICROS_PER_TICK));
         if let Some(message) = self.packer.poll(since) {
             self.seal(&message, observe);
-            return Ok(true);
+            return true;
         }
         if let Some(request) = radio.ask(now) {
             if let Ok(frame) = hx::Frame::new(hx::FrameKind::Radio, &request.to_wire()) {
                 self.line.put(frame.encode());
             }
-            return Ok(true);
+            return true;
         }
         let told = radio.vehicle();
         let packed = match &told {
@@ -309,9 +406,8 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
                 Some(Ok(packet)) => Ok(packet.as_bytes()),
                 Some(Err(error)) => Err(error.into()),
                 None => {
-                    let received = self.reader.receive(input, self.idle, now)?;
                     self.counters.set_dropped(self.reader.dropped());
-                    return Ok(sent || received);
+                    return false;
                 }
             },
         };
@@ -319,39 +415,67 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
         match packed {
             Ok(full) => {
                 self.counters.count_packet();
-                observe(Event::Packed);
+                observe(SealedEvent::Packed);
                 if let Some(message) = full {
                     self.seal(&message, observe);
                 }
             }
             Err(rejection) => self.reject(rejection, observe),
         }
-        Ok(true)
+        true
     }
 
-    fn seal(&mut self, message: &Plaintext, observe: &mut impl FnMut(Event)) {
+    /// When the local side will have been silent for long: see [`Pump::idle_at`](crate::pump::Pump::idle_at).
+    fn idle_at(&self) -> Option<u64> {
+        if !self.line.is_empty() {
+            return None;
+        }
+        self.reader.idle_at()
+    }
+
+    /// When there will be something to do that no byte brings.
+    fn poll_at(&self, radio: &RadioPoller) -> Option<u64> {
+        if !self.line.is_empty() {
+            return None;
+        }
+        let full = self.packer.poll_at().map(|at| {
+            let micros = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
+            micros.div_ceil(MICROS_PER_TICK)
+        });
+        let deadlines = [self.reader.idle_at(), full, Some(radio.ask_at())];
+        deadlines.into_iter().flatten().min()
+    }
+
+    fn seal(&mut self, message: &Plaintext, observe: &mut impl FnMut(SealedEvent)) {
         match self.try_seal(message) {
             Ok(counter) => {
                 self.counters.count_package();
-                observe(Event::Sealed(counter));
+                observe(SealedEvent::Sealed(counter));
             }
             Err(rejection) => self.reject(rejection, observe),
         }
     }
 
     /// Puts the package on the line; gives its counter.
-    fn try_seal(&mut self, message: &Plaintext) -> Result<u32, RejectReason> {
+    fn try_seal(&mut self, message: &Plaintext) -> Result<u32, SealedRejectReason> {
         let counter = self.sealer.next_counter();
-        let counter = counter.ok_or(RejectReason::CounterExhausted)?;
+        let counter = counter.ok_or(SealedRejectReason::CounterExhausted)?;
         self.mark.reserve(counter.into(), SENT_RESERVATION)?;
         let package = self.sealer.seal(message)?;
         self.line.put(hx::Frame::from(&package).encode());
         Ok(counter)
     }
 
-    fn reject(&mut self, rejection: RejectReason, observe: &mut impl FnMut(Event)) {
+    fn drop_frame(&mut self, observe: &mut impl FnMut(SealedEvent)) {
+        if !self.line.is_empty() {
+            self.line.clear();
+            self.reject(SealedRejectReason::LineClosed, observe);
+        }
+    }
+
+    fn reject(&mut self, rejection: SealedRejectReason, observe: &mut impl FnMut(SealedEvent)) {
         self.counters.count_rejected(rejection);
-        observe(Event::Rejected(Direction::Outbound, rejection));
+        observe(SealedEvent::Rejected(Direction::Outbound, rejection));
     }
 }
 
@@ -362,46 +486,21 @@ struct Ingress<F, const N: usize, C: Cipher> {
     peers: [SenderId; N],
     marks: [HighWaterMark<F>; N],
     line: TxBuffer<{ field::PLAINTEXT_SIZE }>,
-    counters: Counters,
+    counters: SealedCounters,
 }
 
 impl<F: NorFlash, const N: usize, C: Cipher> Ingress<F, N, C> {
-    /// One turn; whether there is more to do at once.
-    fn poll<Input: Read + ReadReady, Output: Write + WriteReady>(
-        &mut self,
-        input: &mut Input,
-        output: &mut Output,
-        radio: &mut RadioPoller,
-        observe: &mut impl FnMut(Event),
-    ) -> Result<bool, PortError<Input::Error, Output::Error>> {
-        let mut moved = self.line.send(output)?;
+    fn drop_packets(&mut self, observe: &mut impl FnMut(SealedEvent)) {
         if !self.line.is_empty() {
-            return Ok(moved);
+            self.line.clear();
+            let rejection = SealedRejectReason::LineClosed;
+            self.counters.count_rejected(rejection);
+            observe(SealedEvent::Rejected(Direction::Inbound, rejection));
         }
-        if let Some(packet) = radio.station() {
-            self.line.put(packet);
-            return Ok(true);
-        }
-        // One at a time: what is behind a package stays in the port until its packets have left.
-        for _ in 0..READ_SIZE {
-            if !input.read_ready().map_err(PortError::Input)? {
-                break;
-            }
-            let mut byte = [0];
-            if input.read(&mut byte).map_err(PortError::Input)? == 0 {
-                return Err(PortError::InputClosed);
-            }
-            moved = true;
-            let [byte] = byte;
-            if self.push(byte, radio, observe) {
-                break;
-            }
-        }
-        Ok(moved)
     }
 
-    /// Takes the next byte; whether it ended a frame.
-    fn push(&mut self, byte: u8, radio: &mut RadioPoller, observe: &mut impl FnMut(Event)) -> bool {
+    /// Takes the next byte.
+    fn push(&mut self, byte: u8, radio: &mut RadioPoller, observe: &mut impl FnMut(SealedEvent)) {
         let Self {
             decoder,
             opener,
@@ -412,40 +511,39 @@ impl<F: NorFlash, const N: usize, C: Cipher> Ingress<F, N, C> {
         } = self;
         let mut reject = |rejection| {
             counters.count_rejected(rejection);
-            observe(Event::Rejected(Direction::Inbound, rejection));
+            observe(SealedEvent::Rejected(Direction::Inbound, rejection));
         };
         let frame = match decoder.push(byte) {
-            None => return false,
+            None => return,
             Some(Ok(frame)) => frame,
-            Some(Err(error)) => {
-                reject(error.into());
-                return true;
-            }
+            Some(Err(error)) => return reject(error.into()),
         };
         if frame.kind() == hx::FrameKind::Radio {
             match radio.take(frame.payload()) {
-                Ok(status) => observe(Event::Radio(status)),
-                Err(rejection) => reject(rejection),
+                Ok(status) => observe(SealedEvent::Radio(status)),
+                Err(rejection) => return reject(rejection),
             }
-            return true;
+            if let Some(packet) = radio.station() {
+                line.put(packet);
+            }
+            return;
         }
-        let opened = opener.open(frame.payload()).map_err(RejectReason::from);
+        let opened = opener
+            .open(frame.payload())
+            .map_err(SealedRejectReason::from);
         let opened = opened.and_then(|opened| {
             let mut marks = peers.iter().zip(marks);
             let mark = marks.find(|(peer, _)| **peer == opened.sender());
-            let (_, mark) = mark.ok_or(RejectReason::UnknownSender)?;
+            let (_, mark) = mark.ok_or(SealedRejectReason::UnknownSender)?;
             mark.reserve(opened.counter().into(), ACCEPTED_RESERVATION)?;
             Ok(opened)
         });
         let opened = match opened {
             Ok(opened) => opened,
-            Err(rejection) => {
-                reject(rejection);
-                return true;
-            }
+            Err(rejection) => return reject(rejection),
         };
         counters.count_package();
-        observe(Event::Opened(opened.sender()));
+        observe(SealedEvent::Opened(opened.sender()));
         for packet in opened.packets() {
             match packet {
                 Ok(packet) => {
@@ -455,11 +553,10 @@ impl<F: NorFlash, const N: usize, C: Cipher> Ingress<F, N, C> {
                 Err(error) => {
                     let rejection = error.into();
                     counters.count_rejected(rejection);
-                    observe(Event::Rejected(Direction::Inbound, rejection));
+                    observe(SealedEvent::Rejected(Direction::Inbound, rejection));
                 }
             }
         }
-        true
     }
 }
 
@@ -477,10 +574,15 @@ struct RadioPoller {
 }
 
 impl RadioPoller {
+    /// When it is time for the question.
+    fn ask_at(&self) -> u64 {
+        let next = |asked: u64| asked.saturating_add(STATUS_INTERVAL);
+        self.asked.map_or(0, next)
+    }
+
     /// The question, when it is time for it.
     fn ask(&mut self, now: u64) -> Option<Request> {
-        let early = |asked| now.saturating_sub(asked) < STATUS_INTERVAL;
-        if self.asked.is_some_and(early) {
+        if now < self.ask_at() {
             return None;
         }
         self.asked = Some(now);
@@ -490,12 +592,12 @@ impl RadioPoller {
 
     /// Takes what the radio says: an answer for each question, so that a radio cannot fill the air with
     /// them.
-    fn take(&mut self, bytes: &[u8]) -> Result<Status, RejectReason> {
+    fn take(&mut self, bytes: &[u8]) -> Result<Status, SealedRejectReason> {
         let answer = Answer::from_wire(bytes)?;
         self.unanswered = self
             .unanswered
             .checked_sub(1)
-            .ok_or(RejectReason::NotAsked)?;
+            .ok_or(SealedRejectReason::NotAsked)?;
         self.answer = Some(*answer.status());
         Ok(*answer.status())
     }

@@ -10,8 +10,8 @@ use mavlink_signing::{
     VerifyError, Window, sign_frame,
 };
 use mavseal_relay::{
-    Clock, FIRST_RESERVATION, FlashKeyStore, ForwardMode, PersistentClock, PersistentClockError,
-    RejectReason, Relay, TimeBehindMark,
+    FIRST_RESERVATION, FlashKeyStore, ForwardMode, PersistentClock, PersistentClockError,
+    RejectReason, Relay, TimeBehindMark, adapter,
 };
 use mavseal_store::{
     Region,
@@ -94,7 +94,7 @@ fn signed(ticks: u64) -> Frame {
 
 /// Polls a relay with these inputs until it rests; what came out, plain then secure, and the rejections from
 /// the link side.
-fn run<K: Clock>(
+fn run<K: LinkClock>(
     relay: &mut Relay<Hmac>,
     clock: &mut K,
     local: &[&Frame],
@@ -113,10 +113,7 @@ fn run<K: Clock>(
             rejected.push(rejection);
         }
     };
-    while relay
-        .poll(&mut local_line, &mut link_line, clock, &mut observe)
-        .moved()
-    {}
+    while adapter::poll(relay, &mut local_line, &mut link_line, clock, &mut observe).moved() {}
     let mut stamps = Vec::new();
     let mut rest = &link_line.output[..];
     while let Ok(frame) = FrameRef::parse(rest) {
@@ -154,10 +151,7 @@ fn a_clock_that_leaps_is_no_silence() {
     let mut turn = |from_local: &[u8], from_link: &[u8]| {
         local.input.extend(from_local);
         link.input.extend(from_link);
-        while relay
-            .poll(&mut local, &mut link, &mut kept, &mut |_| ())
-            .moved()
-        {}
+        while adapter::poll(&mut relay, &mut local, &mut link, &mut kept, &mut |_| ()).moved() {}
         relay.outbound().passed()
     };
     assert_eq!(turn(first, &[]), 0);
@@ -286,7 +280,7 @@ fn below_the_floor_nothing_is_used_whoever_asks() {
     let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
     kept.reserve(at(NOW)).expect("stored");
     let mut kept = PersistentClock::new(&mut flash, REGION, || 5).expect("fits");
-    assert_eq!(kept.timer(), 5);
+    assert_eq!(kept.monotonic(), 5);
     let floor = kept.floor();
     assert_eq!(kept.reserve(at(floor.ticks() - 1)), Err(NotStored));
     kept.reserve(floor).expect("stored");

@@ -8,8 +8,9 @@ use mavlink_signing::{
     UnsignedPolicy, VerifyError, Window, crc::checksum, sign_frame,
 };
 use mavseal_relay::{
-    Counters, Direction, Event, ForwardMode, IDLE, PortError, RejectReason, RejectedPacket, Relay,
-    SameLinkId, Signer, Verifier,
+    Counters, Direction, Event, ForwardMode, IDLE, RejectReason, RejectedPacket, Relay, SameLinkId,
+    Signer, Verifier,
+    adapter::{self, Polled, PortError},
 };
 use ports::{Broken, Line};
 
@@ -61,12 +62,15 @@ impl<R: AntiReplay, U: UnsignedPolicy> Bench<R, U> {
         }
     }
 
-    fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
-        let mut clock = || at(self.now);
-        self.relay
-            .poll(&mut self.local, &mut self.link, &mut clock, &mut |event| {
-                self.events.push(event)
-            })
+    fn poll(&mut self) -> Polled<Broken, Broken> {
+        let mut observe = |event| self.events.push(event);
+        adapter::poll(
+            &mut self.relay,
+            &mut self.local,
+            &mut self.link,
+            &mut at(self.now),
+            &mut observe,
+        )
     }
 
     fn local_in(&mut self, bytes: &[u8]) {
@@ -551,6 +555,7 @@ fn what_is_wrong_is_said() {
             "replayed",
             "streams full",
             "not stored",
+            "line closed",
             "other",
         ]
     );
@@ -581,7 +586,7 @@ fn a_relay_is_shown_by_its_counters() {
     let (out, back) = (bench.relay.outbound(), bench.relay.inbound());
     assert_eq!(
         shown,
-        format!("Relay {{ plain_to_secure: {out:?}, secure_to_plain: {back:?}, .. }}")
+        format!("Relay {{ outbound: {out:?}, inbound: {back:?}, .. }}")
     );
     assert_eq!((out.passed(), back.passed()), (1, 0));
 }

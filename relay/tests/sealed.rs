@@ -10,12 +10,15 @@ use mavlink_commsec::{
     Credential, OpenError, Opener, PermitError, SealError, Sealer, SealingKey, SenderId, hx,
     packets,
 };
-use mavlink_signing::crc::checksum;
+use mavlink_signing::{Timestamp, crc::checksum};
 use mavseal_relay::sealed::{
-    ACCEPTED_RESERVATION, Counters, Event, HighWaterMarks, Radio, RejectReason, SENT_RESERVATION,
-    STATUS_INTERVAL, SealedEndpoint,
+    ACCEPTED_RESERVATION, HighWaterMarks, Radio, SENT_RESERVATION, STATUS_INTERVAL, SealedCounters,
+    SealedEndpoint, SealedEvent, SealedRejectReason,
 };
-use mavseal_relay::{Direction, PortError};
+use mavseal_relay::{
+    Direction,
+    adapter::{self, Polled, PortError},
+};
 use mavseal_store::{
     HighWaterMark, Region,
     model::{Flash, PAGE_SIZE},
@@ -74,7 +77,7 @@ struct Bench<F, const N: usize> {
     local: Line,
     air: Line,
     now: u64,
-    events: Vec<Event>,
+    events: Vec<SealedEvent>,
 }
 
 type Vehicle = Bench<Flash<2>, 2>;
@@ -122,7 +125,7 @@ impl<F: NorFlash, const N: usize> Bench<F, N> {
         }
     }
 
-    fn poll(&mut self) -> mavseal_relay::Polled<Broken, Broken> {
+    fn poll(&mut self) -> Polled<Broken, Broken> {
         let Self {
             end,
             local,
@@ -130,7 +133,8 @@ impl<F: NorFlash, const N: usize> Bench<F, N> {
             now,
             events,
         } = self;
-        end.poll(local, air, *now, &mut |event| events.push(event))
+        let mut clock = Timestamp::from_ticks(*now).expect("48 bits");
+        adapter::poll(end, local, air, &mut clock, &mut |event| events.push(event))
     }
 
     fn local_in(&mut self, bytes: &[u8]) {
@@ -203,7 +207,7 @@ fn counter(package: &[u8]) -> u32 {
 }
 
 /// Every reason that has been counted, and how often.
-fn rejections(counters: &Counters) -> Vec<(RejectReason, u32)> {
+fn rejections(counters: &SealedCounters) -> Vec<(SealedRejectReason, u32)> {
     for (reason, count) in counters.rejections() {
         assert_eq!(counters.rejected(reason), count);
     }
@@ -250,23 +254,26 @@ fn packets_arrive_whole_and_in_order_both_ways() {
         vehicle
             .events
             .iter()
-            .filter(|event| **event == Event::Packed)
+            .filter(|event| **event == SealedEvent::Packed)
             .count(),
         5
     );
-    assert_eq!(station.events, [Event::Opened(SenderId(7)); 5]);
+    assert_eq!(station.events, [SealedEvent::Opened(SenderId(7)); 5]);
 
     let package = station.seal(&packet(30));
     vehicle.air_in(hx::FrameKind::AirData, &package);
     assert_eq!(vehicle.local.output, packet(30));
-    assert_eq!(vehicle.events.last(), Some(&Event::Opened(SenderId(5))));
+    assert_eq!(
+        vehicle.events.last(),
+        Some(&SealedEvent::Opened(SenderId(5)))
+    );
     assert!(rejections(vehicle.end.opened()).is_empty());
-    let none = [0; RejectReason::ALL.len()];
+    let none = [0; SealedRejectReason::ALL.len()];
     assert_eq!(
         format!("{:?}", vehicle.end),
         format!(
-            "SealedEndpoint {{ sealed: Counters {{ packages: 5, packets: 5, rejected: {none:?}, dropped: 0 }}, \
-             opened: Counters {{ packages: 1, packets: 1, rejected: {none:?}, dropped: 0 }}, .. }}"
+            "SealedEndpoint {{ sealed: SealedCounters {{ packages: 5, packets: 5, rejected: {none:?}, dropped: 0 }}, \
+             opened: SealedCounters {{ packages: 1, packets: 1, rejected: {none:?}, dropped: 0 }}, .. }}"
         )
     );
 }
@@ -307,13 +314,13 @@ fn what_cannot_be_sealed_is_rejected_and_counted() {
     assert_eq!(
         rejections(vehicle.end.sealed()),
         [
-            (RejectReason::UnknownIncompatFlags, 1),
-            (RejectReason::UnknownMessage, 1),
-            (RejectReason::BadChecksum, 1),
-            (RejectReason::TooLong, 2),
+            (SealedRejectReason::UnknownIncompatFlags, 1),
+            (SealedRejectReason::UnknownMessage, 1),
+            (SealedRejectReason::BadChecksum, 1),
+            (SealedRejectReason::TooLong, 2),
         ]
     );
-    let too_long = Event::Rejected(Direction::Outbound, RejectReason::TooLong);
+    let too_long = SealedEvent::Rejected(Direction::Outbound, SealedRejectReason::TooLong);
     assert_eq!(vehicle.events[..2], [too_long; 2]);
     // A packet that begins and does not go on holds nothing up.
     vehicle.local_in(&packet(60)[..30]);
@@ -360,12 +367,12 @@ fn each_package_is_opened_once_and_what_is_none_never() {
     assert_eq!(
         rejections(vehicle.end.opened()),
         [
-            (RejectReason::WrongLength, 1),
-            (RejectReason::UnknownSender, 2),
-            (RejectReason::NoCounter, 1),
-            (RejectReason::Stale, 2),
-            (RejectReason::BadTag, 1),
-            (RejectReason::NoPacket, 2),
+            (SealedRejectReason::WrongLength, 1),
+            (SealedRejectReason::UnknownSender, 2),
+            (SealedRejectReason::NoCounter, 1),
+            (SealedRejectReason::Stale, 2),
+            (SealedRejectReason::BadTag, 1),
+            (SealedRejectReason::NoPacket, 2),
         ]
     );
     // Nothing of it stands in the way of the other station.
@@ -399,10 +406,10 @@ fn what_is_no_frame_is_rejected_and_the_next_frame_found() {
     assert_eq!(
         rejections(vehicle.end.opened()),
         [
-            (RejectReason::EmptyFrame, 1),
-            (RejectReason::LongFrame, 1),
-            (RejectReason::TruncatedEscape, 1),
-            (RejectReason::UnknownKind, 1),
+            (SealedRejectReason::EmptyFrame, 1),
+            (SealedRejectReason::LongFrame, 1),
+            (SealedRejectReason::TruncatedEscape, 1),
+            (SealedRejectReason::UnknownKind, 1),
         ]
     );
 }
@@ -423,14 +430,17 @@ fn the_radio_is_asked_every_second_and_its_status_told() {
         &STATUS.to_wire_with(&Default::default()),
     );
     assert_eq!(station.local.output, STATUS.gcs_radio(0));
-    assert_eq!(station.events.last(), Some(&Event::Radio(STATUS)));
+    assert_eq!(station.events.last(), Some(&SealedEvent::Radio(STATUS)));
 
     // One answer for each question.
     vehicle.air_in(hx::FrameKind::Radio, &STATUS.to_wire());
     vehicle.air_in(hx::FrameKind::Radio, b"OK");
     assert_eq!(
         rejections(vehicle.end.opened()),
-        [(RejectReason::NoStatus, 1), (RejectReason::NotAsked, 1)]
+        [
+            (SealedRejectReason::NoStatus, 1),
+            (SealedRejectReason::NotAsked, 1)
+        ]
     );
     let asked = |bench: &mut Vehicle, now| {
         bench.now = now;
@@ -445,7 +455,10 @@ fn the_radio_is_asked_every_second_and_its_status_told() {
     for _ in 0..2 {
         vehicle.air_in(hx::FrameKind::Radio, &STATUS.to_wire());
     }
-    assert_eq!(vehicle.end.opened().rejected(RejectReason::NotAsked), 1);
+    assert_eq!(
+        vehicle.end.opened().rejected(SealedRejectReason::NotAsked),
+        1
+    );
     vehicle.now += PATIENT;
     vehicle.run();
     station.local.output.clear();
@@ -488,7 +501,7 @@ fn slow_ports_lose_nothing() {
     assert!(
         rejections(station.end.opened())
             .iter()
-            .all(|(reason, _)| *reason == RejectReason::NoStatus)
+            .all(|(reason, _)| *reason == SealedRejectReason::NoStatus)
     );
 }
 
@@ -582,7 +595,7 @@ fn what_cannot_be_remembered_is_rejected() {
     assert!(vehicle.packages().is_empty());
     assert_eq!(
         rejections(vehicle.end.sealed()),
-        [(RejectReason::NotStored, 1)]
+        [(SealedRejectReason::NotStored, 1)]
     );
     let mut from_station = sealer(&STATION, 1);
     let package = seal(&mut from_station, &packet(20));
@@ -590,7 +603,7 @@ fn what_cannot_be_remembered_is_rejected() {
     assert!(vehicle.local.output.is_empty());
     assert_eq!(
         rejections(vehicle.end.opened()),
-        [(RejectReason::NotStored, 1)]
+        [(SealedRejectReason::NotStored, 1)]
     );
     // The other station's mark is in another place.
     let package = seal(&mut sealer(&OTHER, 1), &packet(20));
@@ -614,7 +627,7 @@ fn the_last_counter_is_used_once_and_nothing_follows() {
     assert!(vehicle.packages().is_empty());
     assert_eq!(
         rejections(vehicle.end.sealed()),
-        [(RejectReason::CounterExhausted, 1)]
+        [(SealedRejectReason::CounterExhausted, 1)]
     );
     // Nor after a restart, with a mark behind all counters.
     let (flash, flashes) = vehicle.end.into_flashes();
@@ -638,7 +651,10 @@ fn peers_are_heard_above_their_marks() {
         let package = seal(&mut other, &packet(20));
         vehicle.air_in(hx::FrameKind::AirData, &package);
     }
-    assert_eq!(rejections(vehicle.end.opened()), [(RejectReason::Stale, 1)]);
+    assert_eq!(
+        rejections(vehicle.end.opened()),
+        [(SealedRejectReason::Stale, 1)]
+    );
     assert_eq!(vehicle.end.opened().packages(), 1);
 }
 
@@ -659,29 +675,32 @@ fn every_error_is_told_apart() {
     for (error, rejection) in [
         (
             OpenError::IntegrityLimitReached,
-            RejectReason::IntegrityLimitReached,
+            SealedRejectReason::IntegrityLimitReached,
         ),
-        (OpenError::BadTag, RejectReason::BadTag),
-        (OpenError::WrongLength(95), RejectReason::WrongLength),
+        (OpenError::BadTag, SealedRejectReason::BadTag),
+        (OpenError::WrongLength(95), SealedRejectReason::WrongLength),
     ] {
-        assert_eq!(RejectReason::from(error), rejection);
+        assert_eq!(SealedRejectReason::from(error), rejection);
     }
     assert_eq!(
-        RejectReason::from(SealError::CounterExhausted),
-        RejectReason::CounterExhausted
+        SealedRejectReason::from(SealError::CounterExhausted),
+        SealedRejectReason::CounterExhausted
     );
     assert_eq!(
-        RejectReason::from(SealError::Cipher),
-        RejectReason::CipherFailed
+        SealedRejectReason::from(SealError::Cipher),
+        SealedRejectReason::CipherFailed
     );
 }
 
 #[test]
 fn every_reason_has_words_of_its_own() {
-    let mut words: Vec<_> = RejectReason::ALL.iter().map(ToString::to_string).collect();
-    let same = |reason: &RejectReason| reason.to_string() == reason.as_str();
-    assert!(RejectReason::ALL.iter().all(same));
+    let mut words: Vec<_> = SealedRejectReason::ALL
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    let same = |reason: &SealedRejectReason| reason.to_string() == reason.as_str();
+    assert!(SealedRejectReason::ALL.iter().all(same));
     words.sort();
     words.dedup();
-    assert_eq!(words.len(), RejectReason::ALL.len());
+    assert_eq!(words.len(), SealedRejectReason::ALL.len());
 }

@@ -1,4 +1,4 @@
-//! The reserve-ahead mark: what was used before a restart is not used after it.
+//! The high-water mark, stored ahead of use: what was used before a restart is not used after it.
 
 use core::fmt;
 
@@ -9,7 +9,7 @@ use crate::journal::{Journal, OpenError, Region, StoreError};
 /// Bytes of a mark in its record, little-endian.
 pub const MARK_SIZE: usize = 8;
 
-/// Why a value may not be used. Nothing has changed.
+/// Why a value must not be used. Nothing has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -28,9 +28,8 @@ impl From<StoreError> for ReserveError {
 
 /// A number in flash above every value that has been used: timestamps, counters, epochs.
 ///
-/// A value is used only after [`HighWaterMark::reserve`] has agreed. Then a restart loses none: whatever was
-/// used before it is below the mark that is found after it. The price is that values which were reserved
-/// and not used are lost too.
+/// A value is used only after [`HighWaterMark::reserve`] has agreed. After a restart, all that was used
+/// before lies below the mark that is found. The price: values that were reserved and not used are lost.
 #[derive(Debug)]
 pub struct HighWaterMark<F> {
     journal: Journal<F, MARK_SIZE>,
@@ -38,15 +37,15 @@ pub struct HighWaterMark<F> {
 }
 
 impl<F: NorFlash> HighWaterMark<F> {
-    /// The mark that `region` of `flash` holds; 0 if it never held one, or none that can be read: a cut in the
-    /// very first write leaves the same. Nothing is written.
+    /// The mark that `region` of `flash` holds. It is 0 if there never was one, or none can be read, as
+    /// after a cut in the very first write. Nothing is written.
     ///
     /// # Errors
     ///
     /// [`OpenError`].
     pub fn open(flash: F, region: Region) -> Result<Self, OpenError> {
-        // A mark that the next restart may not find is safe to start from: to use a value at or above it,
-        // another one is stored first.
+        // It is safe to start from a mark that the next restart will perhaps not find. Before a value at or
+        // above it is used, another mark is stored.
         let (journal, newest) = Journal::open(flash, region)?;
         let stored = newest.map_or(0, u64::from_le_bytes);
         Ok(Self { journal, stored })
@@ -58,7 +57,7 @@ impl<F: NorFlash> HighWaterMark<F> {
         self.stored
     }
 
-    /// Makes sure that the mark is above `value`, which may be used then. If it is not yet, a mark of
+    /// Makes sure that the mark is above `value`, which may then be used. If it is not yet, a mark of
     /// `value + ahead` is stored first, at least `value + 1`.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Records in flash of which the newest counts, whole, whenever the power fails.
+//! Records in flash, of which the newest counts, whole, whenever the power fails.
 
 use core::fmt;
 
@@ -13,12 +13,12 @@ const SEQUENCE_SIZE: usize = 4;
 const CHECKSUM_SIZE: usize = 4;
 /// Bytes of a record after its contents: 8.
 const TRAILER_SIZE: usize = SEQUENCE_SIZE + CHECKSUM_SIZE;
-/// Most bytes of a record, so that it fits into a buffer on the stack; for proofs those of a mark, as every
-/// loop over it is unwound.
+/// Most bytes of a record, so that it fits into a buffer on the stack. For proofs, those of a mark, as
+/// every loop over it is unwound.
 const MAX_RECORD_SIZE: usize = if cfg!(kani) { 16 } else { 128 };
 /// What every byte of erased flash reads as.
 const ERASED: u8 = 0xFF;
-/// How often a record is written anew, each time elsewhere, before the flash counts as broken.
+/// How often a record is written again, each time elsewhere, before the flash counts as broken.
 const ATTEMPTS: u8 = 4;
 
 /// CRC-32 without table: 16 bytes are checked every few seconds.
@@ -27,8 +27,9 @@ fn checksum(covered: &[u8]) -> u32 {
     Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC).checksum(covered)
 }
 
-/// For proofs, as Kani 0.67 does not compile the crate `crc`: every byte counts, and its place.
+/// For proofs, as Kani 0.67 does not compile the crate `crc`. It depends on every byte and on its place.
 #[cfg(kani)]
+#[cfg_attr(test, mutants::skip)]
 fn checksum(covered: &[u8]) -> u32 {
     covered
         .iter()
@@ -45,29 +46,29 @@ pub struct Region {
     pub page_size: u32,
 }
 
-/// Why a region cannot hold a journal. Whoever laid out the flash is at fault.
+/// Why a region cannot hold a journal. The layout of the flash is at fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum OpenError {
     /// Start or size of the pages is no multiple of what is erased at once, or the size is zero.
     NotAligned,
-    /// The region ends behind the flash.
+    /// The region ends after the end of the flash.
     OutOfBounds,
-    /// A record is not a whole number of the flash's words, does not fit into a page, or has more
-    /// than 128 bytes with its 8 of sequence number and checksum.
+    /// A record is not a whole number of the flash's words, or does not fit into a page. Or it has more
+    /// than 128 bytes, with its 8 of sequence number and checksum.
     RecordSize,
 }
 
 /// Why a record is not stored. The flash is at fault, or worn out.
 ///
-/// What was stored before is still there. After a restart either that is found or what was to be
-/// stored: the flash has said that the write failed, not that it left no trace.
+/// What was stored before is still there. After a restart either that is found or what was to be stored: a
+/// failed write may have left its record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum StoreError {
-    /// The flash rejected to erase a page, for this reason.
+    /// The flash failed to erase a page, for this reason.
     Erase(#[cfg_attr(feature = "defmt", defmt(Debug2Format))] NorFlashErrorKind),
     /// What was written reads as something else, or not at all, in several places.
     Write,
@@ -96,15 +97,16 @@ type Buffer = [u8; MAX_RECORD_SIZE];
 
 /// A journal of records with `N` bytes each, in two pages of flash.
 ///
-/// A record is its `N` bytes, a sequence number and a checksum over both. Records are appended to one
-/// page; when it is full, the other is erased and written from its beginning. The sequence number counts
-/// places, also those where a write failed, so that no two records have the same. The highest counts. So
+/// A record is its `N` bytes, a sequence number and a checksum over both. Records are appended to one page.
+/// When it is full, the other is erased and written from its beginning. The sequence number counts places,
+/// also those where a write failed, so that no two records have the same. The record with the highest
+/// number counts. So
 ///
 /// * what was stored last is in flash at every moment: the page that holds it is never erased;
 /// * a write that the power cuts leaves the record before it;
 /// * a word that cannot be read makes its record garbage, and no other;
-/// * a record that does not read as it was written, or of which the flash says so, is written again in
-///   the next place.
+/// * a record that does not read as it was written, or that the flash reports as failed, is written again
+///   in the next place.
 pub struct Journal<F, const N: usize> {
     pages: Pages<F>,
 }
@@ -121,15 +123,15 @@ impl<F, const N: usize> fmt::Debug for Journal<F, N> {
 }
 
 impl<F: NorFlash, const N: usize> Journal<F, N> {
-    /// The journal that `region` of `flash` holds, and what was stored there last; `None` if nothing ever
-    /// was, or nothing can be read. Nothing is written.
+    /// The journal that `region` of `flash` holds, and what was stored there last. That is `None` if
+    /// nothing ever was, or nothing can be read. Nothing is written.
     ///
-    /// What a cut write has left may be found by one restart and not by the next: store it again before
-    /// relying on it for longer than this one.
+    /// What a cut write has left may be found by one restart and not by the next. Store it again before you
+    /// rely on it for longer than this run.
     ///
     /// # Errors
     ///
-    /// [`OpenError`]. That something cannot be read is no error: it does not count.
+    /// [`OpenError`]. A record that cannot be read is no error: it does not count.
     pub fn open(flash: F, region: Region) -> Result<(Self, Option<[u8; N]>), OpenError> {
         let mut pages = Pages::new(flash, region, N + TRAILER_SIZE)?;
         let mut newest = [0; N];
@@ -137,7 +139,7 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         Ok((Self { pages }, found.then_some(newest)))
     }
 
-    /// Whether nothing was ever stored: every place for a record is as it was erased. What cannot be read is
+    /// Whether nothing was ever stored: every place for a record is erased. What cannot be read counts as
     /// something.
     pub const fn is_empty(&self) -> bool {
         self.pages.blank
@@ -148,7 +150,7 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         self.pages.flash
     }
 
-    /// What was stored last, read again; `None` if nothing was, or if it can no longer be read.
+    /// What was stored last, read again. `None` if nothing was, or if it can no longer be read.
     pub fn newest(&mut self) -> Option<[u8; N]> {
         let mut newest = [0; N];
         self.pages.read_newest(&mut newest).then_some(newest)
@@ -160,7 +162,7 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
     ///
     /// # Errors
     ///
-    /// [`StoreError`]; what was stored before still counts.
+    /// [`StoreError`]. What was stored before still counts.
     pub fn append(&mut self, contents: &[u8; N]) -> Result<(), StoreError> {
         self.pages.append(contents)
     }
@@ -177,18 +179,18 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         self.pages.replace(contents)
     }
 
-    /// Erases the page that does not hold what was stored last, unless nothing is in it: what a cut has left of
-    /// [`Journal::replace`].
+    /// Erases the page that does not hold what was stored last, unless it is empty. It finishes a
+    /// [`Journal::replace`] that the power cut.
     ///
     /// # Errors
     ///
-    /// [`StoreError::Erase`]; what was stored last still counts.
+    /// [`StoreError::Erase`]. What was stored last still counts.
     pub fn forget(&mut self) -> Result<(), StoreError> {
         self.pages.forget()
     }
 }
 
-/// A journal of records of any one size, so that the code is there once for all of them.
+/// A journal of records of any one size, so that the code exists once for all sizes.
 struct Pages<F> {
     flash: F,
     region: Region,
@@ -200,7 +202,7 @@ struct Pages<F> {
     blank: bool,
     /// The record that counts.
     newest: Option<Place>,
-    /// Where the next record goes; behind its page if that is full.
+    /// Where the next record goes; after its page if that is full.
     next: Place,
     /// The sequence number of the first record in the page of `next`.
     base: u32,
@@ -223,7 +225,7 @@ impl<F: NorFlash> Pages<F> {
         })
     }
 
-    /// Finds the record that counts and gives its contents; whether there is one.
+    /// Finds the record that counts and copies its contents. Returns whether there is one.
     fn scan(&mut self, contents: &mut [u8]) -> bool {
         let mut highest = None;
         // For each page the place after the last that is not blank.
@@ -341,7 +343,7 @@ impl<F: NorFlash> Pages<F> {
         erased.map_err(|error| StoreError::Erase(error.kind()))
     }
 
-    /// Writes a record into the next place; whether it reads as it was written.
+    /// Writes a record into the next place. Returns whether it reads as it was written.
     fn try_append(&mut self, contents: &[u8]) -> Result<bool, StoreError> {
         let place = self.next;
         // The last one is that of erased flash.
@@ -350,7 +352,7 @@ impl<F: NorFlash> Pages<F> {
             .checked_add(place.slot)
             .filter(|it| *it < u32::MAX);
         let sequence = sequence.ok_or(StoreError::Exhausted)?;
-        // A failed write may have left a record all the same: the next one is newer than it.
+        // A failed write may still have left a record: the next one is newer than it.
         self.next.slot += 1;
         self.blank = false;
         let mut buffer = [0; MAX_RECORD_SIZE];

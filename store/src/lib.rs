@@ -1,4 +1,5 @@
-#![doc = include_str!("../README.md")]
+// The example takes the flash of `model`.
+#![cfg_attr(any(feature = "model", not(doctest)), doc = include_str!("../README.md"))]
 #![no_std]
 #![cfg_attr(
     not(test),

@@ -1,9 +1,8 @@
 //! A flash memory in RAM for tests: words written once, pages erased, power that fails at any step.
 //!
-//! A cut inside a write leaves the word as it was, whole, with some of its bits written, with bits that
-//! read one time and not the next, or with an ECC that does not fit, so that reading it fails. A cut inside
-//! an erase does one of these to every word of the page. Which of them is drawn from a number that the test
-//! gives.
+//! A cut inside a write leaves the word as it was, whole, or with some of its bits written. Or its bits
+//! read one time and not the next. Or its ECC does not fit, so that reading it fails. A cut inside an erase
+//! does one of these to every word of the page. A number that the test gives decides which.
 
 use core::fmt;
 
@@ -31,7 +30,7 @@ enum Word {
     Bad,
 }
 
-/// What such a flash says when it does not do what it is asked.
+/// Why such a flash fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failure {
     /// The request itself is wrong.
@@ -98,7 +97,7 @@ impl<const PAGES: usize> Flash<PAGES> {
         }
     }
 
-    /// Lets the power fail inside the word or page that is written or erased after `steps` more.
+    /// The power will fail inside the word or page that is written or erased after `steps` more.
     pub const fn cut_after(&mut self, steps: u32) {
         self.steps = Some(steps);
     }
@@ -163,7 +162,7 @@ impl<const PAGES: usize> Flash<PAGES> {
         mixed ^ (mixed >> 31)
     }
 
-    /// Counts a step; whether it is done as a whole.
+    /// Counts a step. Returns whether it is done as a whole.
     fn step(&mut self) -> Result<bool, Failure> {
         if !self.power {
             return Err(Failure::Power);
@@ -180,7 +179,7 @@ impl<const PAGES: usize> Flash<PAGES> {
         Ok(chance >= self.failing)
     }
 
-    /// What is left of `before` when the way to `after` is broken off.
+    /// What is left of `before` when the change to `after` is cut.
     fn torn(&mut self, before: Word, after: Word) -> Word {
         match self.draw() % 5 {
             0 => before,

@@ -1,170 +1,204 @@
-//! `cargo xtask fuzz`: seeds, smoke tests, campaigns, and what they show.
+//! `cargo xtask fuzz`: loops over `cargo fuzz`.
 
-mod campaign;
-mod coverage;
-mod engine;
-mod mutants;
-mod plan;
-mod replay;
-mod results;
-mod scan;
-mod seeds;
-mod speed;
-mod table;
-
-use std::{ffi::OsString, fs, path::PathBuf};
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::Path,
+    process::{Command, Stdio},
+    sync::Mutex,
+};
 
 use anyhow::{Result, ensure};
-use clap::{Args, Subcommand};
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
 
-use crate::proofs::results::cores;
-use crate::setup::{self, CargoFuzz, root};
-use engine::Engine;
-use plan::Target;
+use crate::{
+    mutants::{Mutant, Outcome, each},
+    setup::{root, target_dir},
+    sources::{Sources, find, find_all, lock, share},
+    test::not_run,
+};
+
+/// No sanitizer: the cores forbid `unsafe`, it halves the speed, and needs a nightly compiler; ClusterFuzzLite runs
+/// with it. No traces of comparisons, which halve the speed too: inputs and dictionary know what to compare with.
+const FLAGS: &str = "--sanitizer=none --release --no-trace-compares";
+/// For the engine. The longest input has this many bytes, and may take this many seconds.
+const ENGINE: &str = "-max_len=2000 -timeout=10 -dict=fuzz/mavlink.dict -print_final_stats=1";
+/// Gets what is needed, where there is none.
+const NEEDS: &str = r#"
+c++ --version > /dev/null || { echo 'no C++ compiler: sudo apt-get install g++'; exit 1; }
+install='cargo install --locked cargo-fuzz@0.13.2'
+cargo-fuzz --version > /dev/null || { echo "$install takes a minute" >&2; $install; } || { echo "$install"; exit 1; }
+"#;
+/// Runs $TARGETS over committed inputs, with counters in the code; nine tenths of the cores' lines must be reached.
+const COVERAGE: &str = r#"
+libraries=$(dirname $(rustc --print target-libdir))
+ls $libraries/bin/llvm-cov > /dev/null || { echo 'rustup component add llvm-tools'; exit 1; }
+for target in $TARGETS; do
+    echo $target
+    cargo fuzz coverage --sanitizer none --target-dir target/coverage $target > target/coverage.log 2>&1
+    profiles="$profiles fuzz/coverage/$target/coverage.profdata"
+    objects="$objects -object target/coverage/$(basename $libraries)/release/$target"
+done
+$libraries/bin/llvm-profdata merge -sparse $profiles -o target/coverage/profdata
+cores='mavlink/src commsec/src store/src relay/src'
+$libraries/bin/llvm-cov report -instr-profile target/coverage/profdata $objects $cores > target/coverage.txt
+awk '{ print } /^TOTAL/ { lines = $10 } END { exit lines + 0 < 90 }' target/coverage.txt
+"#;
 
 /// Options of `cargo xtask fuzz`.
 #[derive(Args)]
 pub(crate) struct Options {
-    #[command(subcommand)]
-    verb: Verb,
-    /// Use the compiler in use, not rustup's nightly
-    #[arg(long, global = true)]
-    stable: bool,
-    /// Only this target; may be repeated
-    #[arg(long, global = true, value_name = "TARGET")]
+    /// What to do
+    command: Action,
+    /// Only this target, with `mutants` only this mutant; may be repeated
+    #[arg(long, value_name = "NAME")]
     only: Vec<String>,
-    /// Targets at a time [default: one for each core]
-    #[arg(long, global = true, value_name = "N")]
-    jobs: Option<usize>,
+    /// How long a campaign takes
+    #[arg(long, default_value_t = 60)]
+    minutes: u64,
+    /// Targets or mutants at a time
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    jobs: usize,
 }
 
-#[derive(Subcommand)]
-enum Verb {
-    /// Every target for some seconds, from its seeds
+#[derive(Clone, ValueEnum)]
+enum Action {
+    /// Every target for four seconds
     Smoke,
-    /// Every target, all together for some minutes; writes what came out to verification.md
-    Campaign {
-        /// How long
-        #[arg(long, default_value_t = 60.0)]
-        minutes: f64,
-    },
-    /// Every target over seeds and corpora: which lines and errors of the cores they reach
+    /// All targets together for some minutes; new inputs go to target/fuzz/corpus
+    Campaign,
+    /// Which part of the cores' lines the committed inputs reach
     Coverage,
-    /// Break the code in known ways, which targets must find
-    Mutants {
-        /// Only this mutant; may be repeated
-        #[arg(long, value_name = "NAME")]
-        mutant: Vec<String>,
-    },
-    /// A target against one that does nothing
-    Speed,
-    /// Write the inputs that fuzzing begins with
-    Seeds {
-        /// Write nothing; fail if one differs from what is committed
-        #[arg(long)]
-        check: bool,
-    },
-    /// Keep of what campaigns left in fuzz/corpus the little that reaches more than the seeds
-    Minimise,
-    /// Write what came out to verification.md again; run nothing
-    Table {
-        /// Write nothing; fail if it does not say what the results say
-        #[arg(long)]
-        check: bool,
-    },
+    /// Break the code in known ways: the targets named in proofs/mutants.toml must find each within a minute
+    Mutants,
+}
+
+/// A target that was run.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Run {
+    pub(crate) executions: u64,
+    pub(crate) edges: u64,
+    pub(crate) seconds: u64,
+    /// What it failed on; empty if on nothing.
+    pub(crate) finding: String,
 }
 
 /// Runs what the options say.
 ///
 /// # Errors
-/// If a target fails, or a bar is missed; which has been printed.
+/// If something is missing, a target fails, or a mutant is not found.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let jobs = options.jobs.unwrap_or_else(cores).max(1);
-    match &options.verb {
-        Verb::Table { check: true } => table::check(&root()),
-        Verb::Table { check: false } => table::write(&root()),
-        Verb::Seeds { check } => seeds::seeds(*check),
-        Verb::Minimise => seeds::minimise(&Fuzzer::new(options)?),
-        Verb::Coverage => coverage::coverage(),
-        Verb::Mutants { mutant } => mutants::mutants(&Fuzzer::new(options)?, mutant, jobs),
-        Verb::Speed => speed::speed(&Fuzzer::new(options)?),
-        Verb::Smoke => campaign::smoke(&Fuzzer::new(options)?, jobs),
-        Verb::Campaign { minutes } => campaign::campaign(&Fuzzer::new(options)?, *minutes, jobs),
+    let mut needs = Command::new("sh");
+    let needs = needs
+        .args(["-ec", NEEDS])
+        .stderr(Stdio::inherit())
+        .output()?;
+    if !needs.status.success() {
+        not_run(&String::from_utf8_lossy(&needs.stdout));
     }
-}
-
-/// Whether seeds and table are what is committed; runs nothing.
-///
-/// # Errors
-/// If they are not.
-pub(crate) fn check() -> Result<()> {
-    seeds::seeds(true)?;
-    table::check(&root())
-}
-
-/// Every target for some seconds; or why not.
-///
-/// # Errors
-/// If a target fails.
-pub(crate) fn smoke() -> Result<Option<String>> {
-    if let Err(missing) = setup::cargo_fuzz(false) {
-        return Ok(Some(format!("{missing:#}")));
-    }
-    run(&Options {
-        verb: Verb::Smoke,
-        stable: false,
-        only: vec![],
-        jobs: None,
-    })?;
-    Ok(None)
-}
-
-/// Arguments with which cargo takes the targets as plain functions, without what needs a C++ compiler.
-///
-/// # Errors
-/// If cargo does not say where it builds.
-pub(crate) fn without_engine() -> Result<Vec<OsString>> {
-    let arguments = ["--locked", "--no-default-features", "--manifest-path"];
-    let mut arguments: Vec<OsString> = arguments.map(Into::into).into();
-    arguments.push(root().join("fuzz/Cargo.toml").into());
-    arguments.push("--target-dir".into());
-    arguments.push(setup::target_dir()?.join("fuzz").into());
-    Ok(arguments)
-}
-
-/// The targets, built and ready to run.
-struct Fuzzer {
-    root: PathBuf,
-    target_dir: PathBuf,
-    cargo_fuzz: CargoFuzz,
-    engine: Engine,
-    /// Those that are asked for.
-    targets: Vec<Target>,
-    /// Whether that is every one.
-    all: bool,
-}
-
-impl Fuzzer {
-    fn new(options: &Options) -> Result<Self> {
-        let root = fs::canonicalize(root())?;
-        let mut targets = plan::targets(&root)?;
-        let only = &options.only;
-        for name in only {
-            let known = targets.iter().any(|target| target.name == *name);
-            ensure!(known, "{name} is no target of fuzz/targets.toml");
+    let (only, jobs) = (&options.only, options.jobs);
+    match options.command {
+        Action::Smoke => all(&root().canonicalize()?, options, 4, None),
+        Action::Coverage => {
+            let mut shell = Command::new("sh");
+            shell.current_dir(root()).args(["-ec", COVERAGE]);
+            shell.env("TARGETS", targets(&root(), only)?.join(" "));
+            ensure!(shell.status()?.success(), "see target/coverage.log");
+            Ok(())
         }
-        targets.retain(|target| only.is_empty() || only.contains(&target.name));
-        let cargo_fuzz = setup::cargo_fuzz(options.stable)?;
-        let target_dir = setup::target_dir()?.join("fuzz");
-        let engine = Engine::new(&cargo_fuzz, &root, &target_dir);
-        engine.build(None)?;
-        Ok(Self {
-            engine,
-            root,
-            target_dir,
-            cargo_fuzz,
-            targets,
-            all: only.is_empty(),
-        })
+        Action::Campaign => {
+            let sources = Sources::now()?;
+            let tree = sources.worktree(0)?;
+            let of = targets(&tree, only)?.len() as u64;
+            let seconds = options.minutes * 60 * jobs as u64 / of;
+            all(&tree, options, seconds.max(1), Some(&sources))
+        }
+        Action::Mutants => {
+            let sources = Sources::now()?;
+            let mut mutants = Mutant::load(&sources.worktree(0)?, only)?;
+            // Where there is none, only the compiler notices.
+            mutants.retain(|mutant| !mutant.fuzz.is_empty());
+            let attempt = |mutant: &Mutant, tree: &Path| {
+                let mut outcomes = BTreeMap::new();
+                for target in &mutant.fuzz {
+                    let found = !one(tree, target, "mutants", 60)?.finding.is_empty();
+                    let outcome = [Outcome::Missed, Outcome::Caught][usize::from(found)].clone();
+                    outcomes.insert(target.clone(), outcome);
+                }
+                Ok(outcomes)
+            };
+            each(&sources, "fuzz-mutants", mutants, jobs, attempt)
+        }
     }
+}
+
+/// `cargo fuzz` in a copy of the sources, with these words.
+fn cargo_fuzz(tree: &Path, words: &str) -> Command {
+    let mut cargo = Command::new("cargo");
+    cargo.current_dir(tree).arg("fuzz").args(words.split(' '));
+    cargo
+}
+
+/// The targets, or those named in `only`.
+fn targets(tree: &Path, only: &[String]) -> Result<Vec<String>> {
+    let listed = String::from_utf8(cargo_fuzz(tree, "list").output()?.stdout)?;
+    let mut targets: Vec<_> = listed.lines().map(str::to_owned).collect();
+    targets.retain(|target| only.is_empty() || only.contains(target));
+    ensure!(!targets.is_empty(), "cargo fuzz list has no {only:?}");
+    Ok(targets)
+}
+
+/// Builds all targets, runs each that is asked for, and keeps what comes out as results of `sources`.
+fn all(tree: &Path, options: &Options, seconds: u64, sources: Option<&Sources>) -> Result<()> {
+    let targets = targets(tree, &options.only)?;
+    println!("building targets, then {seconds} s for each");
+    let status = cargo_fuzz(tree, &format!("build {FLAGS}")).status()?;
+    ensure!(status.success(), "the targets were not built");
+    let failed = Mutex::new(Vec::new());
+    share(options.jobs, targets, |_, target| {
+        let run = one(tree, &target, "corpus", seconds)?;
+        let (executions, edges, finding) = (run.executions, run.edges, &run.finding);
+        println!("{target}: {executions} executions, {edges} edges {finding}");
+        if let Some(sources) = sources {
+            sources.record("campaign", &target, &run)?;
+        }
+        if !finding.is_empty() {
+            lock(&failed).push(target);
+        }
+        Ok(())
+    })?;
+    let failed = lock(&failed);
+    ensure!(failed.is_empty(), "found something: {failed:?}");
+    Ok(())
+}
+
+/// Runs a target until it fails or the time is over; what is new to it goes to `target/fuzz/NEW`.
+fn one(tree: &Path, target: &str, new: &str, seconds: u64) -> Result<Run> {
+    let new = target_dir()?.join("fuzz").join(new).join(target);
+    let artifacts = root().canonicalize()?.join("fuzz/artifacts").join(target);
+    fs::create_dir_all(&new)?;
+    fs::create_dir_all(&artifacts)?;
+    let mut cargo = cargo_fuzz(tree, &format!("run {FLAGS} {target}"));
+    cargo.arg(new).arg(tree.join("fuzz/corpus").join(target));
+    cargo.arg("--").args(ENGINE.split(' '));
+    cargo.arg(format!("-max_total_time={seconds}"));
+    cargo.arg(format!("-artifact_prefix={}/", artifacts.display()));
+    let output = cargo.output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    let mut finding = String::new();
+    if !output.status.success() {
+        let what = r"(?:panicked at |ERROR: libFuzzer: )(.*\n.*)";
+        let input = find("Test unit written to (.*)", &said);
+        ensure!(!input.is_empty(), "{target}: {said}");
+        let again = format!("cargo fuzz run --sanitizer none {target} {input}");
+        finding = format!("FAILED: {}\n{again}", find(what, &said));
+    }
+    let last = |pattern: &str| find_all(pattern, &said).pop().and_then(|n| n.parse().ok());
+    Ok(Run {
+        executions: last(r"stat::number_of_executed_units: (\d+)").unwrap_or(0),
+        edges: last(r"cov: (\d+)").unwrap_or(0),
+        seconds,
+        finding,
+    })
 }

@@ -1,15 +1,14 @@
-//! Every developer command of mavseal: `cargo xtask <command>`.
+//! Every developer command of mavseal: `cargo xtask COMMAND`.
 
-mod check;
 mod forward;
 mod fuzz;
 mod mutants;
-mod page;
-mod plays;
 mod proofs;
+mod release_page;
 mod setup;
+mod sources;
 mod tables;
-mod workers;
+mod test;
 
 use std::process::ExitCode;
 
@@ -19,32 +18,32 @@ use clap::{Parser, Subcommand};
 #[command(name = "cargo xtask", about = "Every developer command of mavseal")]
 struct Cli {
     #[command(subcommand)]
-    verb: Verb,
+    command: Command,
 }
 
 #[derive(Subcommand)]
-enum Verb {
+enum Command {
     /// Measure signing and verifying beside peers and the floor, and hold them to their bars
-    Bench(plays::Options),
+    Bench(forward::Options),
     /// Send recorded telemetry through the signer on an emulated Cortex-M7, and attack it
-    Demo(plays::Options),
+    Demo(forward::Options),
     /// Build the shipped firmware images and hold them to their budgets
-    Firmware(plays::Options),
-    /// Fuzz every target over the properties, and say what that reaches
+    Firmware(forward::Options),
+    /// Fuzz the properties: shortly, for long, with mutants, or to see what is reached
     Fuzz(fuzz::Options),
     /// Hold the standard's signature and sealed packages against other implementations, message by message
     /// and live
-    Interop(plays::Options),
+    Interop(forward::Options),
     /// Make fresh keys for a sealed link, or check those in a key file
-    Keys(plays::Options),
-    /// Try every small change of the cores, which a test must notice
-    Mutants(mutants::Options),
-    /// Run the proofs with Kani and write what came out to verification.md
+    Keys(forward::Options),
+    /// Run the proofs with Kani, or show with mutants that proofs and tests can fail
     Proofs(proofs::Options),
+    /// Write verification/vX.Y.Z.md from the results of this commit
+    ReleasePage(release_page::Options),
     /// Run firmware in QEMU, print its log and exit with its status
-    RunQemu(plays::Options),
+    RunQemu(forward::Options),
     /// Check everything that must hold
-    Test(check::Options),
+    Test(test::Options),
     /// Generate the message tables in `mavlink/src/dialect` from the published definitions
     Tables {
         /// Change nothing; fail if a committed table differs
@@ -54,7 +53,7 @@ enum Verb {
 }
 
 fn main() -> ExitCode {
-    match run(Cli::parse().verb) {
+    match run(Cli::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -63,18 +62,18 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(verb: Verb) -> anyhow::Result<()> {
-    match verb {
-        Verb::Bench(options) => forward::bench(&options),
-        Verb::Demo(options) => plays::demo(&options),
-        Verb::Firmware(options) => forward::firmware(&options),
-        Verb::Fuzz(options) => fuzz::run(&options),
-        Verb::Interop(options) => forward::interop(&options),
-        Verb::Keys(options) => forward::keys(&options),
-        Verb::Mutants(options) => mutants::run(&options),
-        Verb::Proofs(options) => proofs::run(&options),
-        Verb::RunQemu(options) => plays::run_qemu(&options),
-        Verb::Test(options) => check::run(&options),
-        Verb::Tables { check } => tables::run(check),
+fn run(command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Bench(options) => forward::bench(&options),
+        Command::Demo(options) => forward::demo(&options),
+        Command::Firmware(options) => forward::firmware(&options),
+        Command::Fuzz(options) => fuzz::run(&options),
+        Command::Interop(options) => forward::interop(&options),
+        Command::Keys(options) => forward::keys(&options),
+        Command::Proofs(options) => proofs::run(&options),
+        Command::ReleasePage(options) => release_page::run(&options),
+        Command::RunQemu(options) => forward::run_qemu(&options),
+        Command::Test(options) => test::run(&options),
+        Command::Tables { check } => tables::run(check),
     }
 }

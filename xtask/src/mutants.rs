@@ -1,288 +1,250 @@
-//! `cargo xtask mutants`: small changes of the cores, each of which a test must notice.
-//!
-//! The proofs have mutants too, few and made by hand for each property. These are all that
-//! cargo-mutants can think of, tried with the tests of the cores and the property tests of the properties.
-
-mod outcome;
-mod table;
+//! `proofs/mutants.toml`: broken code that proofs, property tests and fuzz targets must notice.
 
 use std::{
+    collections::{BTreeMap, BTreeSet},
     fs,
-    path::{Path, PathBuf},
-    process::Command,
-    time::{Duration, Instant},
+    path::Path,
+    sync::Mutex,
 };
 
 use anyhow::{Context, Result, bail, ensure};
-use clap::Args;
-use xshell::{Shell, cmd};
+use serde::{Deserialize, Serialize};
 
-use crate::proofs::{
-    fingerprint::{Depth, fingerprint, hash_of},
-    results::{cores, tenths, today},
-    workshop::Snapshot,
+use crate::{
+    proofs::id_of,
+    sources::{Sources, lock, share, text},
 };
-use crate::setup::root;
-use outcome::{Hashes, Results, Survivors};
 
-/// The cores, which are changed, and the packages that have the tests.
-pub(crate) const CORES: [&str; 4] = [
-    "mavlink-signing",
-    "mavlink-commsec",
-    "mavseal-store",
-    "mavseal-relay",
-];
-const TESTS: [&str; 5] = [
-    "mavlink-signing",
-    "mavlink-commsec",
-    "mavseal-store",
-    "mavseal-relay",
-    "mavseal-proofs",
-];
-
-/// What is compiled with a feature alone: the feature, and which mutants are tried once more with it.
-const FEATURE: (&str, &str) = ("mavlink-signing/fast-checksum", "by_tables|low::");
-
-/// The least score, in percent.
-const BAR: f64 = 95.0;
-
-/// Options of `cargo xtask mutants`.
-#[derive(Args)]
-pub(crate) struct Options {
-    /// Only mutants whose name matches this regular expression; what comes out is not kept
-    #[arg(long, value_name = "REGEX", conflicts_with_all = ["table", "check"])]
-    only: Option<String>,
-    /// Only what survived the last run, for tests that came since; what was killed then is not tried again
-    #[arg(long, conflicts_with_all = ["only", "table", "check"])]
-    survivors: bool,
-    /// Run nothing; write the table of verification.md
-    #[arg(long, conflicts_with = "check")]
-    table: bool,
-    /// Run nothing; fail if verification.md does not say what the results say
-    #[arg(long)]
-    check: bool,
-    /// Mutants at a time
-    #[arg(long, value_name = "N", default_value_t = 2)]
-    jobs: usize,
+/// A change that breaks the code.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Mutant {
+    pub(crate) name: String,
+    /// What is broken, in plain words.
+    #[serde(rename = "breaks")]
+    _breaks: String,
+    /// Path in the project.
+    file: String,
+    /// Occurs exactly once in the file.
+    find: String,
+    replace: String,
+    /// Harnesses that must fail.
+    #[serde(default)]
+    pub(crate) kills: Vec<String>,
+    /// Property tests that must fail, by the beginning of their names, or documentation tests, by their file.
+    /// Without it, `v1_` for a harness `v1_*`.
+    #[serde(default)]
+    tests: Vec<String>,
+    /// Fuzz targets that must fail. None where only the compiler can notice, or none has been looked for yet.
+    #[serde(default)]
+    pub(crate) fuzz: Vec<String>,
+    /// Not a mutant, but a check of the checks.
+    #[serde(default)]
+    control: Option<Outcome>,
 }
 
-/// Runs what the options say.
+/// What became of a mutant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Outcome {
+    Caught,
+    Missed,
+    KaniNotRun,
+    /// It does not compile, takes too long, or Kani does not get to its end.
+    Error(String),
+}
+
+impl Mutant {
+    /// All of `proofs/mutants.toml`, or those named in `only` and the controls.
+    ///
+    /// # Errors
+    /// If there are none of such a name.
+    pub(crate) fn load(tree: &Path, only: &[String]) -> Result<Vec<Self>> {
+        #[derive(Deserialize)]
+        struct File {
+            mutant: Vec<Mutant>,
+        }
+        let File { mutant: mut all } = toml::from_str(&text(tree, "proofs/mutants.toml")?)?;
+        for name in only {
+            let known = all.iter().any(|mutant| mutant.name == *name);
+            ensure!(known, "proofs/mutants.toml has no mutant {name}");
+        }
+        all.retain(|m| only.is_empty() || only.contains(&m.name) || m.control.is_some());
+        Ok(all)
+    }
+
+    /// The beginnings of the names of the property tests that must fail.
+    pub(crate) fn tests(&self) -> BTreeSet<String> {
+        let ids = self.kills.iter().map(|name| id_of(name));
+        match &self.tests[..] {
+            [] => ids.map(|id| id.to_lowercase() + "_").collect(),
+            tests => tests.iter().cloned().collect(),
+        }
+    }
+
+    /// The file `before`, broken.
+    fn apply(&self, before: &str) -> Result<String> {
+        let Self { name, file, .. } = self;
+        ensure!(self.find != self.replace, "mutant {name} changes nothing");
+        match before.matches(&self.find).count() {
+            1 => Ok(before.replacen(&self.find, &self.replace, 1)),
+            n => bail!("mutant {name}: its text occurs {n} times in {file}, not once"),
+        }
+    }
+}
+
+/// Applies one of `mutants` after the other to a copy of the sources, has `attempt` look at it there, and keeps
+/// the outcomes as `results`. The controls come first: where one is not as it must be, nothing else counts.
 ///
 /// # Errors
-/// If a mutant survives that nobody has explained, or one that somebody has does not, or the score is
-/// below [`BAR`].
-pub(crate) fn run(options: &Options) -> Result<()> {
-    let root = root();
-    if options.table {
-        return table::write(&root, &Hashes::of(&root)?);
-    }
-    if options.check {
-        return table::check(&root, &Hashes::of(&root)?);
-    }
-    let start = Instant::now();
-    let version = cargo_mutants()?;
-    let metadata = cargo_metadata::MetadataCommand::new()
-        .manifest_path(root.join("Cargo.toml"))
-        .no_deps()
-        .exec()?;
-    let folder = metadata
-        .target_directory
-        .join("mutants")
-        .into_std_path_buf();
-    let tree = Snapshot::take(&root, &folder)?.tree();
-    let hashes = Hashes::of(&tree)?;
-    let before = options.survivors.then(|| survived(&root, &hashes));
-    let before = before.transpose()?;
-    let patterns: Vec<_> = match &before {
-        Some(results) => results.survivors().into_iter().collect(),
-        None => options.only.iter().cloned().collect(),
-    };
-    let limit = baseline(&tree, &folder)?;
-    let tries = Tries {
-        tree: &tree,
-        limit,
-        jobs: options.jobs,
-    };
-    let mut tried = outcome::read(&tries.run(&folder, &patterns, None)?)?;
-    if patterns.is_empty() {
-        let (feature, names) = FEATURE;
-        let again = tries.run(&folder.join("feature"), &[names.to_owned()], Some(feature))?;
-        outcome::merge(&mut tried, outcome::read(&again)?);
-    }
-    let results = match before {
-        Some(mut results) => {
-            results.retry(&tried);
-            results.hashes = hashes;
-            results.survivors_again = Some(today()?);
-            results
+/// If one was not caught by all that should; which has been printed.
+pub(crate) fn each(
+    sources: &Sources,
+    results: &str,
+    mutants: Vec<Mutant>,
+    jobs: usize,
+    attempt: impl Fn(&Mutant, &Path) -> Result<BTreeMap<String, Outcome>> + Sync,
+) -> Result<()> {
+    let faults = Mutex::new(BTreeSet::new());
+    let one = |worker, mutant: Mutant| {
+        let tree = sources.worktree(worker)?;
+        let path = tree.join(&mutant.file);
+        let before = text(&tree, &mutant.file)?;
+        fs::write(&path, mutant.apply(&before)?)?;
+        let outcomes = attempt(&mutant, &tree);
+        fs::write(&path, before)?;
+        let outcomes = outcomes.with_context(|| mutant.name.clone())?;
+        println!("{}: {outcomes:?}", mutant.name);
+        let expected = mutant.control.as_ref().unwrap_or(&Outcome::Caught);
+        let as_expected = |what: &Outcome| what == expected || *what == Outcome::KaniNotRun;
+        if outcomes.is_empty() || !outcomes.values().all(as_expected) {
+            lock(&faults).insert(mutant.name.clone());
         }
-        None => Results {
-            date: today()?,
-            minutes: tenths(start.elapsed().as_secs_f64() / 60.0),
-            cores: cores(),
-            jobs: options.jobs,
-            cargo_mutants: version,
-            rustc: rustc()?,
-            hashes,
-            survivors_again: None,
-            mutants: tried,
-        },
+        sources.record(results, &mutant.name, &outcomes)
     };
-    let survivors = Survivors::load(&tree)?;
-    let faults = survivors.faults(&results.mutants, options.only.is_none());
-    print!("\n{}", table::rows(&results));
-    if options.only.is_none() {
-        results.save(&root)?;
-        table::write(&root, &results.hashes)?;
-    }
-    ensure!(faults.is_empty(), "{}", faults.join("\n"));
-    let score = results.count(None).score();
-    ensure!(score >= BAR, "the score is {score:.1} %, less than {BAR} %");
+    let (controls, mutants): (Vec<_>, Vec<_>) = mutants
+        .into_iter()
+        .partition(|mutant| mutant.control.is_some());
+    share(jobs, controls, one)?;
+    let wrong = lock(&faults).clone();
+    ensure!(
+        wrong.is_empty(),
+        "the run is void, these controls are wrong: {wrong:?}"
+    );
+    share(jobs, mutants, one)?;
+    let wrong = lock(&faults).clone();
+    ensure!(wrong.is_empty(), "not caught by all that should: {wrong:?}");
     Ok(())
 }
 
-/// The last run, if it was of this code and something survived it.
-fn survived(root: &Path, now: &Hashes) -> Result<Results> {
-    let results = Results::load(root)?.context("nothing has been tried yet")?;
-    ensure!(
-        results.hashes.code == now.code,
-        "the code has changed since"
-    );
-    ensure!(!results.survivors().is_empty(), "nothing has survived");
-    Ok(results)
-}
+#[cfg(test)]
+mod tests {
+    use regex::Regex;
 
-/// For `cargo xtask test --all`: every mutant.
-///
-/// # Errors
-/// As [`run`].
-pub(crate) fn all() -> Result<()> {
-    run(&Options {
-        only: None,
-        survivors: false,
-        table: false,
-        check: false,
-        jobs: 2,
-    })
-}
+    use super::*;
+    use crate::{proofs::ids, setup::root};
 
-/// Finds cargo-mutants, or installs it, and says which version it is.
-fn cargo_mutants() -> Result<String> {
-    let sh = Shell::new()?;
-    let version = || {
-        cmd!(sh, "cargo mutants --version")
-            .quiet()
-            .ignore_stderr()
-            .read()
-    };
-    if version().is_err() {
-        eprintln!("installing cargo-mutants (cargo install)");
-        let install = cmd!(sh, "cargo install --quiet --locked cargo-mutants").quiet();
-        let advice = "cargo-mutants is missing: cargo install --locked cargo-mutants";
-        install.run().context(advice)?;
+    fn mutants() -> Vec<Mutant> {
+        Mutant::load(&root(), &[]).expect("mutants.toml")
     }
-    let said = version().context("cargo-mutants was installed, yet cargo does not find it")?;
-    let version = said.split_whitespace().last();
-    Ok(version
-        .context("cargo-mutants does not tell its version")?
-        .to_owned())
-}
 
-fn rustc() -> Result<String> {
-    let sh = Shell::new()?;
-    let said = cmd!(sh, "rustc --version").quiet().read()?;
-    let version = said.split_whitespace().nth(1);
-    Ok(version
-        .context("rustc does not tell its version")?
-        .to_owned())
-}
+    /// All sources of the properties, one after the other.
+    fn proofs() -> String {
+        let files = fs::read_dir(root().join("proofs/src")).expect("proofs/src");
+        let files = files.map(|file| fs::read_to_string(file.expect("a file").path()));
+        files.collect::<Result<Vec<_>, _>>().expect("text").concat()
+    }
 
-impl Hashes {
-    fn of(tree: &Path) -> Result<Self> {
-        let metadata = cargo_metadata::MetadataCommand::new()
-            .manifest_path(tree.join("Cargo.toml"))
-            .exec()?;
-        let hash = |packages: &[&str], depth| {
-            let hashes = packages
+    /// The names of the functions behind `#[ATTRIBUTE]`.
+    fn functions(attribute: &str, text: &str) -> BTreeSet<String> {
+        let function = format!(r"#\[{attribute}\]\s*(?:#\[[^\]]*\]\s*)*fn (\w+)");
+        let function = Regex::new(&function).expect("a pattern");
+        function
+            .captures_iter(text)
+            .map(|function| function[1].to_owned())
+            .collect()
+    }
+
+    #[test]
+    fn each_property_has_a_harness_a_test_and_a_mutant() {
+        let (mutants, text) = (mutants(), proofs());
+        let tests = functions("test", &text);
+        for id in ids(&root()).expect("verification.md") {
+            let begins = |name: &String| id_of(name) == id;
+            assert!(tests.iter().any(begins), "{id} has no property test");
+            // Each name in `kills` is one of the sources: see below.
+            let mut kills = mutants
                 .iter()
-                .map(|package| fingerprint(&metadata, package, depth));
-            anyhow::Ok(hash_of(&hashes.collect::<Result<Vec<_>>>()?.concat()))
-        };
-        Ok(Self {
-            code: hash(&CORES, Depth::Fuzz)?,
-            all: hash(&TESTS, Depth::Tests)?,
-        })
-    }
-}
-
-/// The same for every test: values by chance that are the same each time, and of a failure only that
-/// there is one.
-fn calm(cargo: &mut Command) -> &mut Command {
-    // Each of the copies is built in a folder of its own.
-    cargo.env_remove("CARGO_TARGET_DIR");
-    cargo.env("PROPTEST_RNG_SEED", "0");
-    cargo.env("PROPTEST_MAX_SHRINK_ITERS", "0");
-    cargo.env("PROPTEST_DISABLE_FAILURE_PERSISTENCE", "1")
-}
-
-/// Runs the tests without any mutant, as otherwise their failures mean nothing, and says how long
-/// they may take with one.
-fn baseline(tree: &Path, folder: &Path) -> Result<Duration> {
-    let config: toml::Table =
-        toml::from_str(&fs::read_to_string(tree.join(".cargo/mutants.toml"))?)?;
-    let arguments = |key: &str| {
-        let values = config.get(key).and_then(toml::Value::as_array);
-        let values = values.into_iter().flatten().filter_map(toml::Value::as_str);
-        values.map(str::to_owned).collect::<Vec<_>>()
-    };
-    let test = |more: &[&str]| {
-        let mut cargo = Command::new("cargo");
-        calm(&mut cargo).current_dir(tree).arg("test");
-        cargo.arg("--target-dir").arg(folder.join("baseline"));
-        cargo.args(TESTS.iter().flat_map(|package| ["-p", package]));
-        cargo.args(arguments("additional_cargo_args"));
-        cargo.args(arguments("additional_cargo_test_args"));
-        let status = cargo.arg("--quiet").args(more).status()?;
-        ensure!(status.success(), "the tests fail without any mutant");
-        anyhow::Ok(())
-    };
-    test(&["--no-run"])?;
-    let start = Instant::now();
-    test(&[])?;
-    Ok(start.elapsed() * 10 + Duration::from_secs(20))
-}
-
-/// How mutants are tried.
-struct Tries<'a> {
-    tree: &'a Path,
-    limit: Duration,
-    jobs: usize,
-}
-
-impl Tries<'_> {
-    /// Has cargo-mutants try those that one of `patterns` matches, or all if there is none; gives the folder
-    /// with what came out.
-    fn run(&self, folder: &Path, patterns: &[String], feature: Option<&str>) -> Result<PathBuf> {
-        // It copies the tree to where temporary files are, and builds there.
-        let copies = folder.join("copies");
-        fs::create_dir_all(&copies)?;
-        let mut cargo = Command::new("cargo");
-        calm(&mut cargo).env("TMPDIR", copies).arg("mutants");
-        cargo
-            .arg("--dir")
-            .arg(self.tree)
-            .arg("--output")
-            .arg(folder);
-        cargo.args(CORES.iter().flat_map(|package| ["--package", package]));
-        let limit = self.limit.as_secs().to_string();
-        cargo.args(["--baseline=skip", "--timeout", &limit]);
-        cargo.args(["--jobs", &self.jobs.to_string()]);
-        cargo.args(patterns.iter().flat_map(|pattern| ["--re", pattern]));
-        cargo.args(feature.iter().flat_map(|feature| ["--features", feature]));
-        // 2 and 3 tell of mutants that survived or took too long.
-        match cargo.status()?.code() {
-            Some(0 | 2 | 3) => Ok(folder.join("mutants.out")),
-            _ => bail!("cargo mutants did not get to its end"),
+                .filter(|m| m.control.is_none())
+                .flat_map(|m| &m.kills);
+            assert!(kills.any(begins), "{id} has no harness that kills a mutant");
         }
+    }
+
+    #[test]
+    fn each_harness_belongs_to_a_property() {
+        let ids = ids(&root()).expect("verification.md");
+        for name in functions("kani::proof", &proofs()) {
+            assert!(
+                ids.contains(&id_of(&name)),
+                "{name} belongs to no property of verification.md"
+            );
+        }
+    }
+
+    #[test]
+    fn each_mutant_applies_and_names_who_notices() {
+        let text = proofs();
+        let tests = functions("test", &text);
+        let targets = root().join("fuzz/fuzz_targets");
+        let mut names = BTreeSet::new();
+        for mutant in mutants() {
+            let name = &mutant.name;
+            assert!(names.insert(name.clone()), "{name} is there twice");
+            let before = fs::read_to_string(root().join(&mutant.file)).expect(name);
+            mutant.apply(&before).expect(name);
+            for kill in &mutant.kills {
+                let word = Regex::new(&format!(r"\b{kill}\b")).expect("a pattern");
+                assert!(word.is_match(&text), "{name}: there is no harness {kill}");
+            }
+            for test in mutant.tests() {
+                let found = tests.iter().any(|name| name.starts_with(&test));
+                let found = found || test.ends_with(".rs") && root().join(&test).is_file();
+                assert!(found, "{name}: there is no test {test}");
+            }
+            assert!(!mutant.tests().is_empty(), "{name}: nothing notices it");
+            for target in &mutant.fuzz {
+                let found = targets.join(target).with_extension("rs").is_file();
+                assert!(found, "{name}: there is no fuzz target {target}");
+            }
+        }
+    }
+
+    #[test]
+    fn there_are_controls_of_both_kinds() {
+        let controls: Vec<_> = mutants().into_iter().filter_map(|m| m.control).collect();
+        assert!(controls.contains(&Outcome::Caught) && controls.contains(&Outcome::Missed));
+    }
+
+    #[test]
+    fn functions_by_attribute() {
+        let text = "#[test]\n#[x(y)]\nfn v1_a() {}\n#[kani::proof]\nfn v1_b() {}\nfn v1_c() {}";
+        assert_eq!(Vec::from_iter(functions("test", text)), ["v1_a"]);
+        assert_eq!(Vec::from_iter(functions("kani::proof", text)), ["v1_b"]);
+    }
+
+    #[test]
+    fn a_mutant_fits_exactly_once() {
+        let mutant = |find: &str| -> Mutant {
+            let kills = "kills = ['v1_a', 'r1_b', 'v1_c']";
+            let text =
+                format!("name='m'\nbreaks='x'\nfile='f'\nfind='{find}'\nreplace='<'\n{kills}");
+            toml::from_str(&text).expect("a mutant")
+        };
+        assert_eq!(mutant("<=").apply("a <= b").expect("once"), "a < b");
+        for (find, before) in [("<=", "a <= b <= c"), ("<=", "a == b"), ("<", "a < b")] {
+            assert!(mutant(find).apply(before).is_err(), "{before}");
+        }
+        assert_eq!(Vec::from_iter(mutant("<=").tests()), ["r1_", "v1_"]);
     }
 }

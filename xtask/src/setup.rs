@@ -1,20 +1,18 @@
 //! What the commands need on this machine: found, or got without a question.
 
 mod apt;
-mod fuzz;
 mod python;
 mod qemu;
 
 use std::{
     env,
     path::{Path, PathBuf},
-    process::{Command, Stdio},
     time::{Duration, Instant},
 };
 
 use anyhow::{Context, Result, bail};
+use xshell::{Shell, cmd};
 
-pub(crate) use fuzz::{CargoFuzz, cargo_fuzz, llvm_tools, rustc_in_use};
 pub(crate) use python::venv;
 pub(crate) use qemu::qemu;
 
@@ -66,26 +64,22 @@ fn step<T>(what: &str, action: impl FnOnce() -> Result<T>) -> Result<T> {
 /// # Errors
 /// If it fails: what it says of that, and what apt would have to remove.
 fn run(program: &str, arguments: &[&str], folder: impl AsRef<Path>) -> Result<String> {
-    let mut command = Command::new(program);
-    command
-        .args(arguments)
-        .current_dir(folder)
-        .env("LC_ALL", "C");
-    let output = command.stdin(Stdio::null()).output();
-    let output = output.with_context(|| format!("{program} cannot be run"))?;
+    let sh = Shell::new()?;
+    sh.change_dir(folder);
+    let command = cmd!(sh, "{program} {arguments...}").env("LC_ALL", "C");
+    let output = command.quiet().ignore_status().output()?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     if output.status.success() {
         return Ok(said);
     }
-    let (_, removed) = said.split_once("REMOVED:\n").unwrap_or_default();
+    let mut removed = said.lines().skip_while(|line| !line.ends_with("REMOVED:"));
     let removed = removed
-        .lines()
-        .next()
-        .map(|packages| format!("it would remove {};", packages.trim()));
+        .nth(1)
+        .map(|names| format!("it would remove {};", names.trim()));
     let errors = String::from_utf8_lossy(&output.stderr);
     let errors = errors.lines().filter(|line| !line.starts_with("W: "));
     let reason: Vec<&str> = removed.as_deref().into_iter().chain(errors).collect();
-    bail!("{program}: {}", reason.join(" "))
+    bail!("{}", reason.join(" "))
 }
 
 /// The program of this name on PATH.

@@ -4,6 +4,7 @@ use std::{
     env, fmt, fs,
     path::{Path, PathBuf},
     process::Command,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context, Result, ensure};
@@ -144,7 +145,12 @@ impl Image {
         if !self.default_features {
             cargo.arg("--no-default-features");
         }
+        let begun = Instant::now();
         let status = cargo.status().context("cargo cannot be run")?;
+        let took = begun.elapsed();
+        if took > Duration::from_secs(3) {
+            eprintln!("  {:.0} s", took.as_secs_f32());
+        }
         ensure!(status.success(), "{self} does not build");
         let built = target_folder
             .join(self.chip.target())

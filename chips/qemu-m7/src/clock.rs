@@ -1,6 +1,6 @@
 //! Wall-clock time: the host's, asked once over semihosting, then the board's timer.
 
-use mavlink_signing::{TICKS_PER_SECOND, Timestamp};
+use mavlink_signing::{LinkClock, TICKS_PER_SECOND, Timestamp};
 use semihosting::sys::arm_compat::sys_time;
 use volatile_register::RW;
 
@@ -75,6 +75,17 @@ impl Uptime {
     }
 }
 
+/// For an endpoint that measures silence and asks for no time of day.
+impl LinkClock for Uptime {
+    fn now(&mut self) -> Timestamp {
+        Timestamp::ZERO.saturating_add(self.ticks())
+    }
+
+    fn monotonic(&mut self) -> u64 {
+        self.ticks()
+    }
+}
+
 /// The time of day, in signing time.
 ///
 /// Stands for the real-time clock that this board does not have. It must be read as often as
@@ -105,6 +116,8 @@ impl WallClock {
     }
 
     /// The time of day.
+    // As `Uptime::ticks`.
+    #[inline(never)]
     pub fn now(&mut self) -> Timestamp {
         self.start.saturating_add(self.uptime.ticks())
     }

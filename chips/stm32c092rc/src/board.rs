@@ -1,7 +1,7 @@
 //! The board's clock and pins, by the registers (RM0490, the reference manual of the STM32C0).
 //!
 //! stm32-metapac gives them names and types, and leaves nothing of itself in the image: no check, no
-//! panic, no state. With embassy-stm32 on top, EMBASSY.
+//! panic, no state.
 
 use stm32_metapac::flash::vals::Latency;
 use stm32_metapac::gpio::vals::Moder;

@@ -103,7 +103,7 @@ fn texts() {
         ),
         (
             &DecodeError::UnknownKind(7),
-            "a frame with the unknown tag 0x07",
+            "a frame of the unknown kind 0x07",
         ),
         (
             &RadioError::NoStatus(24),

@@ -8,10 +8,11 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 
-use super::{BEHIND, EACH, LINK_IN, Relay, TICKS_PER_SECOND, ticks_in, ticks_now};
+use super::{BEHIND, EACH, LINK_IN, Relay, TICKS_PER_SECOND, same, ticks_in, ticks_now};
 use crate::{
+    run,
     scenario::{
-        self, Phase, Sending,
+        Phase, Sending,
         Side::{Link, Local},
     },
     wire::{self, Frame},
@@ -45,23 +46,23 @@ pub fn restart(elf: &Path, log: bool) -> Result<()> {
     let new: Vec<u8> = old.iter().map(|byte| !byte).collect();
     let phases = vec![
         Phase::new("Run 1: the board is new")
-            .step(hears("new frames", &old))
+            .step(peer("new frames", &old))
             .step(Relay::signs)
             .step(Relay::hears_below_own_last)
             .step(Relay::signs),
         Phase::new("Run 2, after a reset: the relay gets a new key over the cable; its peer has the old one")
             .reset()
             .step(Relay::rejects_old)
-            .step(hears("with the old key", &old))
+            .step(peer("with the old key", &old))
             .step(Relay::signs)
             .step(setup(&new))
             .step(Relay::signs)
-            .step(hears("with the old key", &old)),
+            .step(peer("with the old key", &old)),
         Phase::new("Run 3, after a reset: the peer takes the new key")
             .reset()
             .step(Relay::rejects_old)
-            .step(hears("with the old key", &old))
-            .step(hears("with the new key", &new))
+            .step(peer("with the old key", &old))
+            .step(peer("with the new key", &new))
             .step(|_, sending| {
                 sending.says("[INFO ] New key heard: done");
                 Ok(())
@@ -70,25 +71,23 @@ pub fn restart(elf: &Path, log: bool) -> Result<()> {
         Phase::new("Run 4, after a reset: the same key over the cable again, so the old one goes")
             .reset()
             .step(Relay::rejects_old)
-            .step(hears("with the new key", &new))
-            .step(hears("with the old key", &old))
+            .step(peer("with the new key", &new))
+            .step(peer("with the old key", &old))
             .step(setup(&new))
             .step(Relay::signs)
-            .step(rejects_key("with the old key", &old))
-            .step(hears("with the new key", &new)),
+            .step(peer("with the old key", &old))
+            .step(peer("with the new key", &new)),
         Phase::new("Run 5, after a reset: the old key stays away")
             .reset()
             .step(Relay::rejects_old)
-            .step(rejects_key("with the old key", &old))
-            .step(hears("with the new key", &new))
+            .step(peer("with the old key", &old))
+            .step(peer("with the new key", &new))
             .step(Relay::signs),
     ];
-    let relay = scenario::run(relay, elf, phases, log)?;
-    let seconds = relay
-        .resets
-        .deaf_for
-        .iter()
-        .map(|time| format!("{:.1}", time.as_secs_f32()));
+    let relay = run(relay, elf, phases, log)?;
+    relay.is_complete()?;
+    let deaf_for = relay.resets.deaf_for.iter();
+    let seconds = deaf_for.map(|time| format!("{:.1}", time.as_secs_f32()));
     println!(
         "\nNo stamp was given and no frame accepted twice, and no key was lost. After the resets the peer was \
          heard within {} s; {} s are allowed.",
@@ -124,8 +123,8 @@ impl Resets {
     }
 }
 
-/// New frames of the peer, with one of the relay's keys.
-fn hears(
+/// New frames of the peer. They are verified if their key is one of the relay's.
+fn peer(
     name: &'static str,
     key: &[u8],
 ) -> impl FnOnce(&mut Relay, &mut Sending) -> Result<()> + use<> {
@@ -134,39 +133,23 @@ fn hears(
         // From now on at the latest, what the peer stamps is beyond the mark.
         let beyond = (relay.resets.mark + BEHIND + 1).saturating_sub(ticks_now());
         thread::sleep(Duration::from_micros(10 * beyond));
+        let samples = relay.samples[..EACH].to_vec();
+        let frames = relay.peer_sends(&samples, &key);
+        let signed = frames.iter().map(|(signed, _)| signed.clone());
+        if !relay.keys.contains(&key) {
+            sending.rejected(Link, name, "bad tag", signed);
+            return Ok(());
+        }
         let resets = &mut relay.resets;
         if resets.deaf_for.len() < resets.count {
             let deaf = resets.at.elapsed();
-            ensure!(
-                deaf < DEAF_FOR,
-                "the relay is deaf for {deaf:?} after a reset"
-            );
+            ensure!(deaf < DEAF_FOR, "deaf for {deaf:?} after a reset");
             resets.deaf_for.push(deaf);
         }
-        let frames = relay.samples[..EACH].to_vec();
-        let frames = relay.peer_sends(&frames, &key);
-        let signed = frames
-            .iter()
-            .map(|(signed, _)| (signed.clone(), key.clone()));
-        relay.resets.accepted.extend(signed);
+        resets
+            .accepted
+            .extend(signed.map(|frame| (frame, key.clone())));
         sending.passes(Link, name, frames);
-        Ok(())
-    }
-}
-
-/// New frames of the peer, with a key that is not the relay's any more.
-fn rejects_key(
-    name: &'static str,
-    key: &[u8],
-) -> impl FnOnce(&mut Relay, &mut Sending) -> Result<()> + use<> {
-    let key = key.to_vec();
-    move |relay, sending| {
-        let frames = relay.samples[..EACH].to_vec();
-        let frames = relay
-            .peer_sends(&frames, &key)
-            .into_iter()
-            .map(|(signed, _)| signed);
-        sending.rejected(Link, name, "bad tag", frames);
         Ok(())
     }
 }
@@ -209,66 +192,59 @@ impl Relay {
 
     /// Telemetry, to be signed.
     fn signs(&mut self, sending: &mut Sending) -> Result<()> {
-        let frames = self.samples.iter().take(SIGNED).cloned();
-        sending.passes(
-            Local,
-            "telemetry",
-            frames.map(|frame| (frame.clone(), frame)),
-        );
+        sending.passes(Local, "telemetry", same(&self.samples[..SIGNED]));
         Ok(())
     }
 
     /// Frames of the peer with new stamps, which are older than the last that the relay has given.
-    fn below_own_last(&mut self) -> Result<Vec<(Frame, Frame)>> {
-        let first = self.last - EACH as u64;
-        ensure!(
-            self.last_of_peer < first,
-            "the peer's stamps are ahead of the relay's"
-        );
-        let frames = self.samples.iter().take(EACH).zip(first..);
+    fn below_own_last(&self) -> Result<Vec<Frame>> {
+        let (first, last) = (self.last - EACH as u64, self.last_of_peer);
+        ensure!(last < first, "the peer's stamps are ahead of the relay's");
         let key = self.keys.last().context("a relay has a key")?;
-        Ok(frames
-            .map(|(frame, ticks)| (wire::sign(frame, key, LINK_IN, ticks), frame.clone()))
-            .collect())
+        let frames = self.samples.iter().take(EACH).zip(first..);
+        let signed = frames.map(|(frame, ticks)| wire::sign(frame, key, LINK_IN, ticks));
+        Ok(signed.collect())
     }
 
     /// They are accepted as long as the relay runs on.
     fn hears_below_own_last(&mut self, sending: &mut Sending) -> Result<()> {
         let frames = self.below_own_last()?;
         self.last_of_peer = self.last;
-        sending.passes(Link, "new, below the relay's own last stamp", frames);
+        let out = self.samples.iter().cloned();
+        let name = "new, below the relay's own last stamp";
+        sending.passes(Link, name, frames.into_iter().zip(out));
         Ok(())
     }
 
-    /// After a reset: what was accepted before, and what may have been as the mark is beyond it.
+    /// After a reset: what was accepted before, and what may have been, as the mark is beyond it.
     fn rejects_old(&mut self, sending: &mut Sending) -> Result<()> {
         let now = ticks_now();
-        let mut rows: [(&str, &'static str, Vec<Frame>); 3] = [
-            ("accepted before, again", "replayed", Vec::new()),
-            ("accepted over a minute ago, again", "too old", Vec::new()),
-            (
-                "accepted before, with a key that has gone",
-                "bad tag",
-                Vec::new(),
-            ),
-        ];
-        for (frame, key) in &self.resets.accepted {
-            let seconds = now.saturating_sub(wire::ticks(frame)) / TICKS_PER_SECOND;
-            let row = match seconds {
-                _ if !self.keys.contains(key) => 2,
-                age if age > WINDOW => 1,
-                // What is near the edge of the window may leave it on its way.
-                age if age > WINDOW / 2 => continue,
-                _ => 0,
-            };
-            rows[row].2.push(frame.clone());
-        }
-        for (name, because, frames) in rows {
-            if !frames.is_empty() {
+        let mut reject = |name, because, belongs: fn(bool, u64) -> bool| {
+            let mut accepted = self.resets.accepted.clone();
+            accepted.retain(|(frame, key)| {
+                let age = now.saturating_sub(wire::ticks(frame)) / TICKS_PER_SECOND;
+                belongs(self.keys.contains(key), age)
+            });
+            if !accepted.is_empty() {
+                let frames = accepted.into_iter().map(|(frame, _)| frame);
                 sending.rejected(Link, name, because, frames);
             }
-        }
-        let below = self.below_own_last()?.into_iter().map(|(signed, _)| signed);
+        };
+        // What is near the edge of the window may leave it on its way.
+        reject("accepted before, again", "replayed", |known, age| {
+            known && age <= WINDOW / 2
+        });
+        reject(
+            "accepted over a minute ago, again",
+            "too old",
+            |known, age| known && age > WINDOW,
+        );
+        reject(
+            "accepted before, with a key that has gone",
+            "bad tag",
+            |known, _| !known,
+        );
+        let below = self.below_own_last()?;
         sending.rejected(Link, "new, below the mark", "replayed", below);
         Ok(())
     }

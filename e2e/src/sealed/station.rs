@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use mavlink::{
     MavHeader,
     dialects::ardupilotmega::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavMessage},
@@ -11,7 +11,7 @@ use mavlink_commsec::{OpenError, Opener, Packer, Sealer, SealingKey, SenderId};
 use mavseal_keys::SenderKeys;
 
 use super::air::Air;
-use crate::scenario::{Counts, Row};
+use crate::scenario::Row;
 
 /// A package, and the packets in it.
 #[derive(Clone, Debug)]
@@ -55,8 +55,12 @@ impl Station {
         })
     }
 
-    /// The next command, sealed with a heartbeat.
-    pub(super) fn command(&mut self) -> Result<Sealed> {
+    /// The next commands, each sealed with a heartbeat.
+    pub(super) fn commands(&mut self, count: usize) -> Result<Vec<Sealed>> {
+        (0..count).map(|_| self.command()).collect()
+    }
+
+    fn command(&mut self) -> Result<Sealed> {
         let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
             param1: f32::from(self.sequence),
             param7: 1.0,
@@ -99,7 +103,7 @@ impl Station {
     pub(super) fn listen(&mut self, name: &str, sent: &[Sealed]) -> Result<Row> {
         let (packages, air) = self.down.carry(sent);
         let mut last = self.opener.senders().map(|(_, last)| last).max();
-        let mut row = self.row(name, packages.len(), "stale");
+        let mut row = self.row(name, "stale");
         row.air = Some(air);
         for sealed in packages {
             let counter = Some(sealed.counter);
@@ -108,14 +112,14 @@ impl Station {
                     let came: Vec<&[u8]> = opened.packets().filter_map(Result::ok).collect();
                     ensure!(
                         came.concat() == sealed.packets,
-                        "{}: other packets came",
+                        "{}: other packets",
                         row.name
                     );
                     row.counts.passed += 1;
                     last = counter;
                 }
                 Err(OpenError::Stale { .. }) if counter <= last => row.counts.rejected += 1,
-                other => anyhow::bail!("{}: {counter:?}: {other:?}", row.name),
+                other => bail!("{}: {counter:?}: {other:?}", row.name),
             }
         }
         Ok(row)
@@ -128,29 +132,25 @@ impl Station {
         packages: &[Vec<u8>],
         because: &'static str,
     ) -> Result<Row> {
-        let mut row = self.row(name, packages.len(), because);
+        let mut row = self.row(name, because);
         for package in packages {
-            let result = self.opener.open(package);
-            let right = match &result {
-                Err(OpenError::UnknownSender(_)) => because == "unknown sender",
-                Err(OpenError::Stale { .. }) => because == "stale",
-                Err(OpenError::BadTag) => because == "bad tag",
-                _ => false,
+            let reason = match self.opener.open(package) {
+                Err(OpenError::UnknownSender(_)) => "unknown sender",
+                Err(OpenError::Stale { .. }) => "stale",
+                Err(OpenError::BadTag) => "bad tag",
+                other => bail!("{}: {other:?}", row.name),
             };
-            ensure!(right, "{}: {result:?}, not {because}", row.name);
+            ensure!(reason == because, "{}: {reason}, not {because}", row.name);
             row.counts.rejected += 1;
         }
         Ok(row)
     }
 
-    fn row(&self, name: &str, arrived: usize, because: &'static str) -> Row {
+    fn row(&self, name: &str, because: &'static str) -> Row {
         Row {
             to: "station",
-            name: format!("station {}: {name}", self.id),
-            air: None,
-            arrived,
-            counts: Counts::default(),
             because,
+            ..Row::new(format!("station {}: {name}", self.id))
         }
     }
 }

@@ -47,9 +47,9 @@ pub(super) struct Vehicle {
     decoder: hx::Decoder,
     /// Opens every package as it leaves the vehicle
     witness: Opener<1>,
-    /// Every package of the vehicle, and how many of them the stations have listened to
+    /// Every package of the vehicle, and how many of them the stations have heard
     pub(super) sent: Vec<Sealed>,
-    pub(super) listened: usize,
+    pub(super) heard: usize,
     /// Packages that the vehicle must have accepted
     pub(super) accepted: Vec<Sealed>,
     /// The last counter of each sender that it must have
@@ -79,7 +79,7 @@ impl Vehicle {
             decoder: hx::Decoder::new(),
             witness,
             sent: Vec::new(),
-            listened: 0,
+            heard: 0,
             accepted: Vec::new(),
             last: keys
                 .stations()
@@ -233,10 +233,6 @@ impl Device for Vehicle {
         (self.packages, self.radio_told) = (0, 0);
         self.decoder = hx::Decoder::new();
         Default::default()
-    }
-
-    fn settled(&self) -> Result<()> {
-        Ok(())
     }
 }
 

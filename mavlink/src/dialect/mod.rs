@@ -1,10 +1,10 @@
 //! The chosen dialect: the `crc_extra` byte of every message it defines.
 //!
-//! A MAVLink packet's checksum covers one byte that is not sent: `crc_extra`, computed from the
-//! message's definition, so that two ends with different definitions reject each other's packets
-//! ([Packet Serialization](https://mavlink.io/en/guide/serialization.html#crc_extra)). A receiver
-//! must therefore know it for each message, and some dialects give one id to different messages.
-//! So one dialect is in use, chosen by the feature of this crate that has its name in lower case.
+//! A MAVLink packet's checksum covers one byte that is not sent: `crc_extra`, computed from the message's
+//! definition. So two ends with different definitions reject each other's packets ([Packet
+//! Serialization](https://mavlink.io/en/guide/serialization.html#crc_extra)). A receiver must know it for
+//! each message, and some dialects give one id to different messages. So one dialect is in use, chosen by
+//! the feature of this crate that has its name in lower case.
 //!
 //! Cargo adds up the features that all dependents ask for. That does no harm where one chosen
 //! dialect has every row of the others: it is the one in use (`common` and `ardupilotmega` give
@@ -89,8 +89,8 @@ pub fn messages() -> impl ExactSizeIterator<Item = (MessageId, u8)> + Clone {
     })
 }
 
-// For each choice of features the compiler checks what bisection needs, ascending ids, and what a
-// mixture needs, one dialect that has every row of the others.
+// For each choice of features the compiler checks two things. Bisection needs ascending ids. A mixture
+// needs one dialect that has every row of the others.
 const _: () = {
     let mut dialects = tables::CHOSEN;
     while let [Dialect(name, rows), rest @ ..] = dialects {

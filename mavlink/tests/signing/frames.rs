@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use crate::common::*;
 use mavlink_signing::field::{HEADER_SIZE, MAX_FRAME_SIZE, SIGNATURE_SIZE, TAG_SIZE};
 use mavlink_signing::{
-    Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, MessageId, ParseError,
-    ReplayGuard, RolloverState, SignError, SigningKey, Stamp, Stamper, Timestamp, VerifyError,
-    Window, authenticate, dialect, sign_frame,
+    Frame, FrameRef, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, MessageId, Packet,
+    ParseError, ReplayGuard, RolloverState, SignError, SigningKey, Stamp, Stamper, Timestamp,
+    VerifyError, Window, accept_unsigned, authenticate, dialect, redact_for_log, sign_frame,
 };
 
 /// The checksum by a library that shares no code with this one.
@@ -113,6 +113,25 @@ fn every_flipped_bit_is_rejected() {
                 "length {length}, bit {bit}: {error:?}"
             );
             assert_eq!(state.last(), None);
+        }
+    }
+}
+
+/// A wrong bit in a frame without signature: nothing lets it through, copies it to be signed, or logs it.
+#[test]
+fn every_flipped_bit_without_signature_is_rejected() {
+    for length in [0, 1, 9, 255] {
+        let frame = unsigned(0, &payload(length));
+        for bit in 3 * 8..frame.as_bytes().len() * 8 {
+            let mut bytes = frame.as_bytes().to_vec();
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            let received = FrameRef::parse(&bytes).expect("a frame");
+            let accepted = accept_unsigned(received, LINK_ID, &|_| true);
+            assert!(accepted.is_err(), "length {length}, bit {bit}");
+            assert!(Frame::try_from(received).is_err());
+            assert!(redact_for_log(received).is_err());
+            assert!(Packet::parse(&bytes, dialect::crc_extra).is_err());
+            assert!(!received.checksum_matches(50));
         }
     }
 }

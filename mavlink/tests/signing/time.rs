@@ -24,6 +24,10 @@ impl LinkClock for End {
         self.clock.now(self.timer)
     }
 
+    fn monotonic(&mut self) -> u64 {
+        self.timer
+    }
+
     fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
         self.clock.reference_time(stamp, self.timer)
     }

@@ -13,7 +13,7 @@ use crate::event::Direction;
 #[derive(Clone, Copy, Debug, Display, IntoStaticStr, VariantArray, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum RejectReason {
+pub enum SealedRejectReason {
     /// A packet with unknown incompatibility flags.
     #[strum(serialize = "unknown flags")]
     UnknownIncompatFlags,
@@ -74,13 +74,16 @@ pub enum RejectReason {
     /// A status that was not asked for.
     #[strum(serialize = "not asked")]
     NotAsked,
+    /// What was to go out on a line that was closed: a frame to the radio, or what is left of a package's packets.
+    #[strum(serialize = "line closed")]
+    LineClosed,
     /// An error that this version does not know.
     #[strum(serialize = "other")]
     Other,
 }
 
-impl RejectReason {
-    /// Every reason, in the order of [`RejectReason`]'s definition.
+impl SealedRejectReason {
+    /// Every reason, in the order of [`SealedRejectReason`]'s definition.
     pub const ALL: &[Self] = Self::VARIANTS;
 
     /// The reason in a few words, as in tables.
@@ -90,7 +93,7 @@ impl RejectReason {
     }
 }
 
-impl From<DecodeError> for RejectReason {
+impl From<DecodeError> for SealedRejectReason {
     fn from(error: DecodeError) -> Self {
         match error {
             DecodeError::Parse(ParseError::UnknownIncompatFlags(_)) => Self::UnknownIncompatFlags,
@@ -101,7 +104,7 @@ impl From<DecodeError> for RejectReason {
     }
 }
 
-impl From<PackError> for RejectReason {
+impl From<PackError> for SealedRejectReason {
     fn from(error: PackError) -> Self {
         match error {
             PackError::TooLong(_) => Self::TooLong,
@@ -110,7 +113,7 @@ impl From<PackError> for RejectReason {
     }
 }
 
-impl From<SealError> for RejectReason {
+impl From<SealError> for SealedRejectReason {
     fn from(error: SealError) -> Self {
         match error {
             SealError::CounterExhausted => Self::CounterExhausted,
@@ -120,13 +123,13 @@ impl From<SealError> for RejectReason {
     }
 }
 
-impl From<ReserveError> for RejectReason {
+impl From<ReserveError> for SealedRejectReason {
     fn from(_: ReserveError) -> Self {
         Self::NotStored
     }
 }
 
-impl From<hx::DecodeError> for RejectReason {
+impl From<hx::DecodeError> for SealedRejectReason {
     fn from(error: hx::DecodeError) -> Self {
         match error {
             hx::DecodeError::Empty => Self::EmptyFrame,
@@ -138,7 +141,7 @@ impl From<hx::DecodeError> for RejectReason {
     }
 }
 
-impl From<OpenError> for RejectReason {
+impl From<OpenError> for SealedRejectReason {
     fn from(error: OpenError) -> Self {
         match error {
             OpenError::WrongLength(_) => Self::WrongLength,
@@ -152,13 +155,13 @@ impl From<OpenError> for RejectReason {
     }
 }
 
-impl From<UnpackError> for RejectReason {
+impl From<UnpackError> for SealedRejectReason {
     fn from(_: UnpackError) -> Self {
         Self::NoPacket
     }
 }
 
-impl From<RadioError> for RejectReason {
+impl From<RadioError> for SealedRejectReason {
     fn from(_: RadioError) -> Self {
         Self::NoStatus
     }
@@ -167,7 +170,7 @@ impl From<RadioError> for RejectReason {
 /// What became of something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Event {
+pub enum SealedEvent {
     /// A packet of the local side waits to be sealed, with others or alone.
     Packed,
     /// A package goes out, under this counter.
@@ -177,21 +180,21 @@ pub enum Event {
     /// The radio has answered.
     Radio(Status),
     /// Something goes no further.
-    Rejected(Direction, RejectReason),
+    Rejected(Direction, SealedRejectReason),
 }
 
 /// How often each thing happened in one direction. Every count stays at the top of its range.
 ///
 /// Anybody who can send can raise the counts of rejections: show them, do not act on them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct SealedCounters {
     packages: u32,
     packets: u32,
-    rejected: [u32; RejectReason::ALL.len()],
+    rejected: [u32; SealedRejectReason::ALL.len()],
     dropped: u32,
 }
 
-impl Counters {
+impl SealedCounters {
     /// Packages that were sealed, or opened.
     #[must_use]
     pub const fn packages(&self) -> u32 {
@@ -213,13 +216,13 @@ impl Counters {
 
     /// What was rejected for `reason`.
     #[must_use]
-    pub fn rejected(&self, reason: RejectReason) -> u32 {
+    pub fn rejected(&self, reason: SealedRejectReason) -> u32 {
         self.rejected.get(reason as usize).copied().unwrap_or(0)
     }
 
     /// Every reason and how often it was given.
-    pub fn rejections(&self) -> impl Iterator<Item = (RejectReason, u32)> {
-        RejectReason::ALL.iter().copied().zip(self.rejected)
+    pub fn rejections(&self) -> impl Iterator<Item = (SealedRejectReason, u32)> {
+        SealedRejectReason::ALL.iter().copied().zip(self.rejected)
     }
 
     pub(crate) const fn count_package(&mut self) {
@@ -234,7 +237,7 @@ impl Counters {
         self.dropped = dropped;
     }
 
-    pub(crate) fn count_rejected(&mut self, reason: RejectReason) {
+    pub(crate) fn count_rejected(&mut self, reason: SealedRejectReason) {
         if let Some(count) = self.rejected.get_mut(reason as usize) {
             *count = count.saturating_add(1);
         }

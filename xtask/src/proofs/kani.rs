@@ -1,152 +1,61 @@
-//! Runs one harness with Kani and reads what it says.
+//! Runs harnesses with Kani and reads what it prints.
 
-use std::{path::Path, process::Command};
-
-use anyhow::Result;
-use serde::{Deserialize, Serialize};
-
-use super::{
-    process::{self, Ended, Limits, Stopped},
-    scan::Harness,
+use std::{
+    collections::BTreeMap,
+    fs::{self, File},
+    path::Path,
+    process::Command,
+    thread,
+    time::Duration,
 };
 
-/// Failures of these classes say that Kani did not get to the end, not that a property is wrong.
-const NO_REFUTATION: [&str; 7] = [
-    "unwind",
-    "recursion",
-    "unsupported_construct",
-    "missing_definition",
-    "reachability_check",
-    "sanity_check",
-    "cover",
-];
+use anyhow::{Result, ensure};
+use regex::Regex;
+use serde::{Deserialize, Serialize};
 
-/// The same by description, as the class of some depends on the version.
-const NO_REFUTATION_TEXTS: [&str; 3] = [
-    "unwinding assertion",
-    "not currently supported by Kani",
-    "missing definition",
-];
+use crate::sources::{find, find_all, text, today};
+
+/// Failures of these classes, or with these descriptions, say that Kani did not get to the end, not that a
+/// property is wrong.
+const NO_REFUTATION: &str = "^(unwind|recursion|unsupported_construct|missing_definition|reachability_check|\
+    sanity_check)$|unwinding assertion|not currently supported by Kani|missing definition";
+/// The most that CBMC may use. How long it may take stands in Cargo.toml.
+const MEMORY_MB: u64 = 8000;
 
 /// How a harness ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Verdict {
     /// Every check holds and every cover is satisfied.
     Verified,
     /// A check of the property, or of Rust's own rules, fails.
     Refuted,
-    /// Every check holds, but no cover, or not every one, is satisfied.
+    /// Every check holds, but a cover is not satisfied, or there is none.
     Vacuous,
-    /// More time than allowed.
-    Timeout,
-    /// More memory than allowed.
-    Memory,
-    /// No verdict: it does not compile, is unwound too little, or uses what Kani does not know.
+    /// It does not compile, takes too much, is unwound too little, or uses what Kani does not know.
     Error,
 }
 
-/// One run of one harness.
-pub(crate) struct Run {
+/// A harness that was run.
+#[derive(Clone, Serialize, Deserialize)]
+pub(crate) struct Proof {
     pub(crate) verdict: Verdict,
-    /// Why it is not verified, in one line.
-    pub(crate) reason: Option<String>,
-    pub(crate) report: Report,
-    pub(crate) seconds: f64,
-    pub(crate) memory_mb: Option<u64>,
-}
-
-/// What Kani's output says.
-#[derive(Debug, Default, PartialEq)]
-pub(crate) struct Report {
-    /// The harnesses that were checked.
-    harnesses: Vec<String>,
-    /// `SUCCESSFUL` or `FAILED`, for each.
-    verdicts: Vec<String>,
-    /// Checks other than covers.
+    /// Why it is not verified.
+    pub(crate) reason: String,
     pub(crate) checks: usize,
-    failures: Vec<Check>,
-    pub(crate) covers: usize,
-    pub(crate) covers_satisfied: usize,
-    /// What the summary says of both: satisfied, all.
-    covers_summary: Option<(usize, usize)>,
-    covers_missed: Vec<String>,
-    /// `original -> replacement`
-    pub(crate) stubs: Vec<String>,
-    /// Kani's own time for the solver's part.
-    pub(crate) seconds: Option<f64>,
-    pub(crate) cbmc: Option<String>,
-    /// The toolchain that Kani compiled with.
-    pub(crate) rustc: Option<String>,
+    /// Satisfied, and all.
+    pub(crate) covers: [usize; 2],
+    /// What CBMC says it solved with, not what it was asked to.
+    pub(crate) solver: String,
+    /// CBMC's part, as Kani measures it.
+    pub(crate) seconds: f64,
+    /// The most that CBMC used, as seen five times a second.
+    pub(crate) memory_mb: u64,
+    /// Kani, CBMC and the compiler.
+    pub(crate) tools: String,
+    pub(crate) date: String,
 }
 
-#[derive(Debug, Default, PartialEq)]
-struct Check {
-    class: String,
-    status: String,
-    description: String,
-}
-
-/// The version of the installed Kani, if there is one.
-pub(crate) fn installed() -> Option<String> {
-    let output = kani().arg("--version").output().ok()?;
-    let said = String::from_utf8(output.stdout).ok()?;
-    let version = said.trim().strip_prefix("cargo-kani ")?.to_owned();
-    output.status.success().then_some(version)
-}
-
-/// Runs `harness` on the workspace in `tree`.
-///
-/// # Errors
-/// If Kani cannot be started.
-pub(crate) fn run(tree: &Path, target: &Path, harness: &Harness, limits: Limits) -> Result<Run> {
-    let mut command = kani();
-    command.current_dir(tree);
-    command.args(["-p", &harness.package]);
-    command.arg("--target-dir").arg(target);
-    command.args(["--exact", "--harness", &harness.path]);
-    let ended = process::run(&mut command, limits)?;
-    let report = Report::read(&ended.stdout);
-    let (verdict, reason) = judge(&report, &ended, &harness.path);
-    Ok(Run {
-        verdict,
-        reason,
-        report,
-        seconds: ended.time.as_secs_f64(),
-        memory_mb: ended.memory_mb,
-    })
-}
-
-/// Paths of the harnesses that Kani itself sees in the package in `folder`; Kani leaves a file
-/// there. `unstable` features have to be named: listing does not read them from the manifest.
-///
-/// # Errors
-/// If Kani cannot list them.
-pub(crate) fn list(folder: &Path, target: &Path, unstable: &[String]) -> Result<Vec<String>> {
-    /// `kani-list.json`: harnesses by file.
-    #[derive(Deserialize)]
-    #[serde(rename_all = "kebab-case")]
-    struct List {
-        standard_harnesses: std::collections::BTreeMap<String, Vec<String>>,
-    }
-    let mut command = kani();
-    command.current_dir(folder).env("CARGO_TARGET_DIR", target);
-    command.args(["list", "--format", "json"]);
-    for feature in unstable {
-        command.args(["-Z", feature]);
-    }
-    let output = command.output()?;
-    anyhow::ensure!(
-        output.status.success(),
-        "cargo kani list: {}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let list = std::fs::read_to_string(folder.join("kani-list.json"))?;
-    let list: List = serde_json::from_str(&list)?;
-    Ok(list.standard_harnesses.into_values().flatten().collect())
-}
-
-/// `cargo kani`, free of what rustup's cargo sets for its own children: Kani has its own compiler.
+/// `cargo kani`, free of what rustup sets for this program: Kani has a compiler of its own.
 fn kani() -> Command {
     let mut command = Command::new("cargo");
     command.arg("kani").env("NO_COLOR", "1");
@@ -156,160 +65,147 @@ fn kani() -> Command {
     command
 }
 
-fn judge(report: &Report, ended: &Ended, path: &str) -> (Verdict, Option<String>) {
-    let (verdict, reason) = match ended.stopped {
-        Some(Stopped::Time) => (Verdict::Timeout, "it took too long".to_owned()),
-        Some(Stopped::Memory) => (Verdict::Memory, "it took too much memory".to_owned()),
-        None => match report.judge(path) {
-            Ok(()) if ended.status.success() => return (Verdict::Verified, None),
-            Ok(()) => (Verdict::Error, format!("it ended with {}", ended.status)),
-            Err(Fault::NoVerdict) => return no_verdict(ended),
-            Err(Fault::Reason(verdict, reason)) => (verdict, reason),
-        },
-    };
-    (verdict, Some(reason))
+/// The version of the installed Kani, if there is one.
+pub(crate) fn installed() -> Option<String> {
+    let said = String::from_utf8(kani().arg("--version").output().ok()?.stdout).ok()?;
+    Some(said.trim().strip_prefix("cargo-kani ")?.to_owned())
 }
 
-fn no_verdict(ended: &Ended) -> (Verdict, Option<String>) {
-    let lines = || ended.stderr.lines().chain(ended.stdout.lines());
-    if lines().any(|line| line.contains("run out of memory")) {
-        return (Verdict::Memory, Some("CBMC ran out of memory".to_owned()));
+/// All harnesses in the copy of the sources `tree`, as Kani lists them: names and paths.
+///
+/// # Errors
+/// If Kani cannot list them, or two have one name.
+pub(crate) fn list(tree: &Path) -> Result<BTreeMap<String, String>> {
+    // Kani leaves its list where it is called. Here it rejects the flags of the workspace, so that the manifest
+    // of the package is named.
+    let folder = tree.join("target/kani");
+    fs::create_dir_all(&folder)?;
+    let mut list = kani();
+    list.current_dir(&folder).env("CARGO_TARGET_DIR", &folder);
+    list.args(["--manifest-path", "../../proofs/Cargo.toml", "list"]);
+    list.args(["--format", "json", "-Z", "stubbing"]);
+    let output = list.output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "cargo kani list: {said}");
+    let list: serde_json::Value = serde_json::from_str(&text(&folder, "kani-list.json")?)?;
+    let files = list["standard-harnesses"].as_object().into_iter().flatten();
+    let mut harnesses = BTreeMap::new();
+    for path in files.filter_map(|(_, paths)| paths.as_array()).flatten() {
+        let path = path.as_str().unwrap_or_default();
+        let name = path.rsplit("::").next().unwrap_or(path);
+        let other = harnesses.insert(name.to_owned(), path.to_owned());
+        ensure!(other.is_none(), "two harnesses are called {name}");
     }
-    let said = |mark: &str| lines().find(|line| line.starts_with(mark));
-    let reason = said("error[").or_else(|| said("error"));
-    let reason = reason.or_else(|| said("CBMC failed"));
-    let reason = reason.map_or_else(|| "no verdict".to_owned(), str::to_owned);
-    (Verdict::Error, Some(reason))
+    Ok(harnesses)
 }
 
-enum Fault {
-    /// No harness got as far as a list of checks.
-    NoVerdict,
-    Reason(Verdict, String),
+/// Runs the harness `path` in `tree`, with the flags that `cargo kani` alone has; its output goes to `log`.
+///
+/// # Errors
+/// If Kani cannot be started or watched.
+pub(crate) fn prove(tree: &Path, path: &str, log: &Path) -> Result<Proof> {
+    fs::create_dir_all(log.with_file_name(""))?;
+    let file = File::create(log)?;
+    let mut command = kani();
+    command
+        .current_dir(tree)
+        .arg("--target-dir")
+        .arg(tree.join("target/kani"));
+    command.args(["--exact", "--harness", path]);
+    let mut child = command.stdout(file.try_clone()?).stderr(file).spawn()?;
+    let mut peak = 0;
+    while child.try_wait()?.is_none() {
+        let mut ps = Command::new("ps");
+        let output = ps.args(["-e", "-o", "pid=,rss=,args="]).output()?;
+        for line in String::from_utf8_lossy(&output.stdout).lines() {
+            let mut words = line.split_whitespace();
+            let [id, rss, program] = [(); 3].map(|()| words.next().unwrap_or_default());
+            if program == "cbmc" && line.contains(&*tree.to_string_lossy()) {
+                peak = peak.max(rss.parse::<u64>()? * 1024 / 1_000_000);
+                if peak > MEMORY_MB {
+                    Command::new("kill").args(["-KILL", id]).status()?;
+                }
+            }
+        }
+        thread::sleep(Duration::from_millis(200));
+    }
+    let output = String::from_utf8_lossy(&fs::read(log)?).into_owned();
+    let mut proof = Proof::read(&output, path)?;
+    if proof.verified() && !child.wait()?.success() {
+        proof.verdict = Verdict::Error;
+    }
+    proof.memory_mb = peak;
+    Ok(proof)
 }
 
-impl Report {
+impl Proof {
     /// Reads the output of `cargo kani` in its regular format.
-    fn read(output: &str) -> Self {
-        let mut report = Self::default();
-        let mut check = Check::default();
-        for line in output.lines() {
-            let trimmed = line.trim();
-            if let Some((_, rest)) = line.split_once("/toolchains/")
-                && report.rustc.is_none()
-            {
-                let name = rest.split('/').next().unwrap_or(rest);
-                report.rustc = Some(without_host(name));
+    fn read(output: &str, path: &str) -> Result<Self> {
+        let check = Regex::new(
+            r#"(?m)^Check \d+: (.*)\n\s+- Status: (\w+)\n\s+- Description: "?(.*?)"?$"#,
+        )?;
+        let no_refutation = Regex::new(NO_REFUTATION)?;
+        let (mut checks, mut covers, mut missed) = (0, 0, Vec::new());
+        let (mut failed, mut refuted) = (None, None);
+        for [name, status, text] in check.captures_iter(output).map(|check| check.extract().1) {
+            let class = name.rsplit('.').nth(1).unwrap_or_default();
+            if class == "cover" {
+                covers += 1;
+                if status != "SATISFIED" {
+                    missed.push(format!("{text} ({status})"));
+                }
+                continue;
             }
-            if let Some(rest) = line.strip_prefix("Checking harness ") {
-                let path = rest.trim_end_matches("...").to_owned();
-                report.harnesses.push(path);
-            } else if let Some(rest) = trimmed.strip_prefix("- Stub: ") {
-                report.stubs.push(rest.to_owned());
-            } else if let Some(rest) = line.strip_prefix("CBMC version ") {
-                report.cbmc = rest.split_whitespace().next().map(str::to_owned);
-            } else if let Some(rest) = line.strip_prefix("Check ") {
-                let name = rest.split_once(": ").map_or("", |(_, name)| name);
-                let class = name.rsplit('.').nth(1).unwrap_or_default();
-                check = Check {
-                    class: class.to_owned(),
-                    ..Check::default()
-                };
-            } else if let Some(status) = trimmed.strip_prefix("- Status: ") {
-                status.clone_into(&mut check.status);
-            } else if let Some(text) = trimmed.strip_prefix("- Description: ") {
-                text.trim_matches('"').clone_into(&mut check.description);
-                report.count(std::mem::take(&mut check));
-            } else if let Some(rest) = trimmed.strip_prefix("** ")
-                && let Some((counts, _)) = rest.split_once(" cover properties satisfied")
-            {
-                let counts = counts.split_once(" of ");
-                report.covers_summary =
-                    counts.and_then(|(n, of)| Some((n.parse().ok()?, of.parse().ok()?)));
-            } else if let Some(rest) = line.strip_prefix("VERIFICATION:- ") {
-                let verdict = rest.split_whitespace().next().unwrap_or_default();
-                report.verdicts.push(verdict.to_owned());
-            } else if let Some(rest) = line.strip_prefix("Verification Time: ") {
-                report.seconds = rest.trim_end_matches('s').parse().ok();
+            checks += 1;
+            if !matches!(status, "SUCCESS" | "UNREACHABLE") {
+                failed = failed.or(Some(text));
+                let incomplete = no_refutation.is_match(class) || no_refutation.is_match(text);
+                if status == "FAILURE" && !incomplete {
+                    refuted = refuted.or(Some(text));
+                }
             }
         }
-        report
+        let satisfied = covers - missed.len();
+        let summary = format!("{satisfied} of {covers} cover properties satisfied");
+        let ran = find_all(r"(?m)^Checking harness (.+)\.\.\.$", output) == [path];
+        let verdicts = find_all(r"(?m)^VERIFICATION:- (\w+)", output).join(" ");
+        let (verdict, reason) = match (&*verdicts, refuted) {
+            ("SUCCESSFUL", None) if ran && covers == 0 => (Verdict::Vacuous, "no cover".to_owned()),
+            ("SUCCESSFUL", None) if ran && satisfied < covers => {
+                (Verdict::Vacuous, missed.join(", "))
+            }
+            ("SUCCESSFUL", None) if ran && failed.is_none() && output.contains(&summary) => {
+                (Verdict::Verified, String::new())
+            }
+            ("FAILED", Some(text)) if ran => (Verdict::Refuted, text.to_owned()),
+            _ => {
+                let said = find(r"(?m)^(error.*|CBMC failed.*|CBMC timed out.*)$", output);
+                (Verdict::Error, failed.map_or(said, str::to_owned))
+            }
+        };
+        Ok(Self {
+            verdict,
+            reason,
+            checks,
+            covers: [satisfied, covers],
+            solver: find_all(r"(?m)^Solving with (.+)$", output).join(", "),
+            seconds: find(r"(?m)^Verification Time: ([\d.]+)s", output)
+                .parse()
+                .unwrap_or(0.0),
+            memory_mb: 0,
+            tools: format!(
+                "Kani {}, CBMC {}, rustc {}",
+                find(r"Kani Rust Verifier (\S+)", output),
+                find(r"(?m)^CBMC version (\S+)", output),
+                find(r"/toolchains/((?:nightly|stable|beta)[-\d]*\d)", output),
+            ),
+            date: today()?,
+        })
     }
 
-    fn count(&mut self, check: Check) {
-        if check.class == "cover" {
-            self.covers += 1;
-            if check.status == "SATISFIED" {
-                self.covers_satisfied += 1;
-            } else {
-                let missed = format!("{} ({})", check.description, check.status.to_lowercase());
-                self.covers_missed.push(missed);
-            }
-        } else {
-            self.checks += 1;
-            if !matches!(&*check.status, "SUCCESS" | "UNREACHABLE") {
-                self.failures.push(check);
-            }
-        }
+    pub(crate) fn verified(&self) -> bool {
+        self.verdict == Verdict::Verified
     }
-
-    fn judge(&self, path: &str) -> Result<(), Fault> {
-        let fault = |verdict, reason: &str| Err(Fault::Reason(verdict, reason.to_owned()));
-        if self.harnesses != [path] {
-            return match self.harnesses.as_slice() {
-                [] => Err(Fault::NoVerdict),
-                _ => fault(Verdict::Error, "Kani ran another harness"),
-            };
-        }
-        match self.verdicts.as_slice() {
-            [verdict] if verdict == "SUCCESSFUL" => {}
-            [verdict] if verdict == "FAILED" => {
-                let refuted = self.failures.iter().find(|check| check.refutes());
-                return match (refuted, self.failures.first()) {
-                    (Some(check), _) => fault(Verdict::Refuted, &check.description),
-                    (None, Some(check)) => fault(Verdict::Error, &check.description),
-                    (None, None) if self.checks > 0 => {
-                        fault(Verdict::Refuted, "a panic was expected, there is none")
-                    }
-                    (None, None) => Err(Fault::NoVerdict),
-                };
-            }
-            _ => return Err(Fault::NoVerdict),
-        }
-        if self.covers_summary.unwrap_or((0, 0)) != (self.covers_satisfied, self.covers) {
-            fault(
-                Verdict::Error,
-                "Kani's list of covers and its summary differ",
-            )
-        } else if self.covers == 0 {
-            fault(Verdict::Vacuous, "it has no cover")
-        } else if !self.covers_missed.is_empty() {
-            let missed = self.covers_missed.join(", ");
-            fault(Verdict::Vacuous, &format!("not covered: {missed}"))
-        } else {
-            Ok(())
-        }
-    }
-}
-
-impl Check {
-    /// Whether it is a counterexample.
-    fn refutes(&self) -> bool {
-        self.status == "FAILURE"
-            && !NO_REFUTATION.contains(&&*self.class)
-            && !NO_REFUTATION_TEXTS
-                .iter()
-                .any(|text| self.description.contains(text))
-    }
-}
-
-/// `nightly-2025-11-21` of `nightly-2025-11-21-x86_64-unknown-linux-gnu`.
-fn without_host(toolchain: &str) -> String {
-    toolchain
-        .splitn(5, '-')
-        .take(4)
-        .collect::<Vec<_>>()
-        .join("-")
 }
 
 #[cfg(test)]
@@ -322,7 +218,8 @@ mod tests {
     fn output(checks: &[(&str, &str, &str)], verdict: &str) -> String {
         let mut text = format!(
             "Kani Rust Verifier 0.67.0 (cargo plugin)\nChecking harness {PATH}...\n\
-             \t- Stub: a::b -> c::d\nCBMC version 6.8.0 (cbmc-6.8.0) 64-bit x86_64 linux\n\nRESULTS:\n"
+             \t- Stub: a::b -> c::d\nCBMC version 6.8.0 (cbmc-6.8.0) 64-bit x86_64 linux\n\
+             Solving with MiniSAT 2.2.1 with simplifier\nRESULTS:\n"
         );
         for (i, (name, status, description)) in checks.iter().enumerate() {
             text += &format!(
@@ -344,28 +241,28 @@ mod tests {
         text + &format!("\nVERIFICATION:- {verdict}\nVerification Time: 1.25s\n")
     }
 
+    fn read(output: String) -> Proof {
+        Proof::read(&output, PATH).expect("patterns")
+    }
+
     fn verdict(checks: &[(&str, &str, &str)], verdict: &str) -> (Verdict, String) {
-        match Report::read(&output(checks, verdict)).judge(PATH) {
-            Ok(()) => (Verdict::Verified, String::new()),
-            Err(Fault::Reason(verdict, reason)) => (verdict, reason),
-            Err(Fault::NoVerdict) => (Verdict::Error, "no verdict".to_owned()),
-        }
+        let proof = read(output(checks, verdict));
+        (proof.verdict, proof.reason)
     }
 
     const HOLDS: (&str, &str, &str) = ("a::f.assertion.1", "SUCCESS", "assertion failed: x");
     const COVERED: (&str, &str, &str) = ("a::harness::v1_x.cover.1", "SATISFIED", "accepted");
 
     #[test]
-    fn all_that_a_report_says() {
-        let report = Report::read(&output(&[HOLDS, COVERED], "SUCCESSFUL"));
-        assert_eq!(report.stubs, ["a::b -> c::d"]);
+    fn all_that_the_output_says() {
+        let proof = read(output(&[HOLDS, COVERED], "SUCCESSFUL"));
+        assert_eq!((proof.checks, proof.covers), (1, [1, 1]));
+        assert_eq!(proof.seconds, 1.25);
         assert_eq!(
-            (report.checks, report.covers, report.covers_satisfied),
-            (1, 1, 1)
+            proof.tools,
+            "Kani 0.67.0, CBMC 6.8.0, rustc nightly-2025-11-21"
         );
-        assert_eq!(report.seconds, Some(1.25));
-        assert_eq!(report.cbmc.as_deref(), Some("6.8.0"));
-        assert_eq!(report.rustc.as_deref(), Some("nightly-2025-11-21"));
+        assert_eq!(proof.solver, "MiniSAT 2.2.1 with simplifier");
     }
 
     #[test]
@@ -379,52 +276,58 @@ mod tests {
             let missed = ("a::harness::v1_x.cover.2", status, "replayed");
             let (verdict, reason) = verdict(&[HOLDS, COVERED, missed], "SUCCESSFUL");
             assert_eq!(verdict, Verdict::Vacuous);
-            let expected = format!("not covered: replayed ({})", status.to_lowercase());
-            assert_eq!(reason, expected);
+            assert_eq!(reason, format!("replayed ({status})"));
         }
+        let other_summary =
+            output(&[HOLDS, COVERED], "SUCCESSFUL").replace("1 of 1 cover", "1 of 2 cover");
+        assert_eq!(read(other_summary).verdict, Verdict::Error);
     }
 
     #[test]
     fn only_a_counterexample_refutes() {
         let failed = |name, text| verdict(&[(name, "FAILURE", text), COVERED], "FAILED").0;
-        assert_eq!(
-            failed("a::f.assertion.1", "assertion failed: x"),
-            Verdict::Refuted
-        );
-        assert_eq!(
-            failed("a::f.pointer_dereference.1", "invalid"),
-            Verdict::Refuted
-        );
-        assert_eq!(
-            failed("a::f.unwind.0", "unwinding assertion loop 0"),
-            Verdict::Error
-        );
-        assert_eq!(
-            failed(
+        let refuted = [
+            ("a::f.assertion.1", "assertion failed: x"),
+            ("a::f.pointer_dereference.1", "invalid"),
+        ];
+        for (name, text) in refuted {
+            assert_eq!(failed(name, text), Verdict::Refuted);
+        }
+        let not = [
+            ("a::f.unwind.0", "unwinding assertion loop 0"),
+            (
                 "a::f.unsupported_construct.1",
-                "x is not currently supported by Kani"
+                "x is not currently supported by Kani",
             ),
-            Verdict::Error
-        );
-        let missing = "Function `x` with missing definition is unreachable";
-        assert_eq!(failed("a::f.assertion.2", missing), Verdict::Error);
+            (
+                "a::f.assertion.2",
+                "Function `x` with missing definition is unreachable",
+            ),
+        ];
+        for (name, text) in not {
+            assert_eq!(failed(name, text), Verdict::Error);
+        }
         let undetermined = ("a::f.assertion.3", "UNDETERMINED", "assertion failed: x");
         assert_eq!(verdict(&[undetermined], "FAILED").0, Verdict::Error);
     }
 
     #[test]
-    fn another_harness_or_none_is_no_verdict() {
-        let other = output(&[HOLDS, COVERED], "SUCCESSFUL").replace(PATH, "a::other");
-        assert!(Report::read(&other).judge(PATH).is_err());
-        assert!(
-            Report::read("error: no harnesses matched")
-                .judge(PATH)
-                .is_err()
+    fn another_harness_or_none_is_an_error() {
+        for (expected, checks) in [
+            ("SUCCESSFUL", HOLDS),
+            ("FAILED", ("a.assertion.1", "FAILURE", "x")),
+        ] {
+            let other = output(&[checks, COVERED], expected).replace(PATH, "a::other");
+            assert_eq!(read(other).verdict, Verdict::Error);
+        }
+        let none = read("error: no harnesses matched".to_owned());
+        assert_eq!(
+            (none.verdict, &*none.reason),
+            (Verdict::Error, "error: no harnesses matched")
         );
-        assert!(
-            Report::read(&format!("Checking harness {PATH}...\n"))
-                .judge(PATH)
-                .is_err()
+        assert_eq!(
+            read(format!("Checking harness {PATH}...\n")).verdict,
+            Verdict::Error
         );
     }
 }

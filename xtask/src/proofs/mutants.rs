@@ -1,254 +1,105 @@
-//! `cargo xtask proofs --mutants`: broken code must be noticed by its proofs and by its property tests.
+//! `cargo xtask proofs --mutants`: what harnesses and property tests make of broken code.
 
-use std::{collections::BTreeSet, fs, process::Command, sync::Mutex};
-
-use anyhow::{Context, Result, bail, ensure};
-
-use super::{
-    Run,
-    kani::{self, Verdict},
-    plan::{Canary, Mutant, id_of},
-    process,
-    results::{Fates, Outcome, Results, Trial},
-    table,
-    workshop::Workshop,
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+    process::Command,
 };
 
-/// Tries the mutants that concern the ids chosen, and the controls first; with `stale`, only those that
-/// are not noticed yet on these sources.
-///
-/// # Errors
-/// If a mutant is not noticed, or the checks themselves misbehave.
-pub(crate) fn run(run: &Run, stale: bool) -> Result<()> {
-    if run.kani.is_none() {
-        println!(
-            "cargo kani is not installed: only the property tests are tried, nothing is proved"
-        );
+use anyhow::{Context, Result, ensure};
+
+use super::{RESULTS, kani, kani::Proof, kani::Verdict, prove};
+use crate::{
+    mutants::{Mutant, Outcome, each},
+    sources::Sources,
+};
+
+/// Tries each mutant with the harnesses and property tests that must notice it; without Kani, with the tests alone.
+pub(super) fn run(kani: bool, only: &[String], jobs: usize) -> Result<()> {
+    let sources = Sources::now()?;
+    let tree = sources.worktree(0)?;
+    let mutants = Mutant::load(&tree, only)?;
+    // What fails on the code as it is notices nothing.
+    for all in ["", ".rs"] {
+        let output = tests(&tree, &[all.to_owned()].into())?;
+        let passed = output.contains("test result: ok") && !output.contains("test result: FAILED");
+        ensure!(passed, "property tests fail without a mutant: {output}");
     }
-    let all = &run.project.mutants;
-    let chosen = |mutant: &&Mutant| mutant.ids().iter().any(|id| run.wanted(id));
-    let (canaries, mutants): (Vec<_>, Vec<_>) =
-        all.iter().partition(|mutant| mutant.control.is_some());
-    let mut mutants: Vec<_> = mutants.into_iter().filter(chosen).collect();
-    if stale {
-        let results = Results::load(&run.root)?;
-        let noticed = |mutant: &Mutant| {
-            let ids = mutant.ids().into_iter().filter(|id| run.wanted(id));
-            let mut fates = ids.map(|id| table::fate(&run.project, &results, mutant, &id));
-            fates.all(|fate| fate.is_ok_and(|fate| fate == table::KILLED))
-        };
-        mutants.retain(|mutant| !noticed(mutant));
-    }
-
-    let unproved = baseline(run, &canaries, &mutants)?;
-    let attempt = |workshop: &Workshop, mutant: &Mutant, harnesses: &[String], twins: &_| {
-        attempt(run, workshop, mutant, harnesses, twins, &unproved)
-    };
-    let first = run.snapshot.workshop(0)?;
-    for control in canaries {
-        let (harnesses, twins) = (control.kills.clone(), control.twins());
-        let trial = attempt(&first, control, &harnesses, &twins)?;
-        let expected = match control.control {
-            Some(Canary::Survives) => Outcome::Survived,
-            _ => Outcome::Killed,
-        };
-        ensure!(
-            trial.fates().all(|(_, fate)| *fate == expected),
-            "the run is void: control {} should be {expected:?}: {}",
-            control.name,
-            summary(&trial)
-        );
-        println!("control {}: {expected:?}, as it must", control.name);
-    }
-
-    let survivors = Mutex::new(Vec::new());
-    run.in_parallel(mutants, |workshop, mutant| {
-        let wanted = |name: &String| id_of(name).is_some_and(|id| run.wanted(&id));
-        let harnesses: Vec<_> = mutant.kills.iter().filter(|n| wanted(n)).cloned().collect();
-        let twins = mutant.twins().into_iter().filter(wanted).collect();
-        let trial = attempt(workshop, mutant, &harnesses, &twins)?;
-        println!("{}: {}", mutant.name, summary(&trial));
-        if !trial.killed() {
-            let mut survivors = survivors.lock().unwrap_or_else(|e| e.into_inner());
-            survivors.push(mutant.name.clone());
-        }
-        run.record(|results| merge(results, &mutant.name, trial))
-    })?;
-    let survivors = survivors.into_inner().unwrap_or_else(|e| e.into_inner());
-    ensure!(
-        survivors.is_empty(),
-        "not noticed: {}",
-        survivors.join(", ")
-    );
-    Ok(())
-}
-
-/// Adds a trial of some harnesses and property tests to what is known of the others.
-fn merge(results: &mut Results, name: &str, trial: Trial) {
-    let known = results.mutants.entry(name.to_owned()).or_default();
-    known.harnesses.merge(trial.harnesses);
-    known.twins.merge(trial.twins);
-}
-
-/// What notices a mutant must not complain about the code as it is. Says which harnesses do; what
-/// they make of a mutant means nothing.
-fn baseline(run: &Run, canaries: &[&Mutant], mutants: &[&Mutant]) -> Result<BTreeSet<String>> {
-    let all = || canaries.iter().chain(mutants);
-    let prefixes: BTreeSet<_> = all().flat_map(|mutant| mutant.twins()).collect();
-    let names: BTreeSet<_> = all().flat_map(|mutant| &mutant.kills).collect();
-    let first = run.snapshot.workshop(0)?;
-    for prefix in prefixes {
-        match twins(run, &first, &prefix)? {
-            Outcome::Survived => {}
-            other => {
-                bail!("the run is void: property tests {prefix}* without any mutant: {other:?}")
+    let mut harnesses = BTreeMap::new();
+    if kani {
+        harnesses = kani::list(&tree)?;
+        let known: BTreeMap<String, Proof> = sources.read(RESULTS)?;
+        let mut unproved = BTreeMap::new();
+        for name in mutants.iter().flat_map(|mutant| &mutant.kills) {
+            let path = harnesses
+                .get(name)
+                .with_context(|| format!("no harness {name}"))?;
+            if !known.get(name).is_some_and(Proof::verified) {
+                unproved.insert(name.clone(), path.clone());
             }
         }
-    }
-    println!("property tests pass on the code as it is");
-    if run.kani.is_none() {
-        return Ok(BTreeSet::new());
-    }
-    let results = Results::load(&run.root)?;
-    let mut unproved = Vec::new();
-    for name in names {
-        let harness = run.project.found.harness(name).context("no harness")?;
-        let known = table::fresh(&run.project, &results, harness);
-        if !known.is_ok_and(|proof| proof.verdict == Verdict::Verified) {
-            unproved.push(harness);
+        if !unproved.is_empty() {
+            prove(&sources, unproved, jobs)?;
         }
     }
-    run.prove(unproved)
-}
-
-/// Tries one mutant in a worker's copy, and leaves the copy as it was.
-fn attempt(
-    run: &Run,
-    workshop: &Workshop,
-    mutant: &Mutant,
-    harnesses: &[String],
-    prefixes: &BTreeSet<String>,
-    unproved: &BTreeSet<String>,
-) -> Result<Trial> {
-    run.snapshot.restore(workshop)?;
-    let path = workshop.tree.join(&mutant.file);
-    let before = fs::read_to_string(&path).with_context(|| mutant.file.clone())?;
-    let after = mutant.apply(&before).map_err(anyhow::Error::msg)?;
-    fs::write(&path, after)?;
-
-    let [by_harnesses, by_twins] = run.project.sources_of_mutant(mutant)?;
-    let mut trial = Trial {
-        harnesses: Fates::new(by_harnesses)?,
-        twins: Fates::new(by_twins)?,
-    };
-    for prefix in prefixes {
-        let fate = twins(run, workshop, prefix)?;
-        trial.twins.fates.insert(prefix.clone(), fate);
-    }
-    if run.kani.is_some() {
-        for name in harnesses {
-            let fate = if unproved.contains(name) {
-                Outcome::Error("the code as it is is not proved".to_owned())
-            } else {
-                proof(run, workshop, name)?
+    each(&sources, "proofs-mutants", mutants, jobs, |mutant, tree| {
+        let mut outcomes = BTreeMap::new();
+        let prefixes = mutant.tests();
+        let output = tests(tree, &prefixes)?;
+        for prefix in &prefixes {
+            outcomes.insert(format!("{prefix}*"), of_tests(&output, prefix));
+        }
+        for name in &mutant.kills {
+            let Some(path) = harnesses.get(name) else {
+                outcomes.insert(name.clone(), Outcome::KaniNotRun);
+                continue;
             };
-            trial.harnesses.fates.insert(name.clone(), fate);
+            let log = sources
+                .results
+                .join(format!("logs/{}/{name}.log", mutant.name));
+            let proof = kani::prove(tree, path, &log)?;
+            let outcome = match proof.verdict {
+                Verdict::Refuted => Outcome::Caught,
+                Verdict::Verified => Outcome::Missed,
+                // A cover that is lost shows nothing about the assertions.
+                verdict => Outcome::Error(format!("{verdict:?}: {}", proof.reason)),
+            };
+            outcomes.insert(name.clone(), outcome);
         }
-    }
-    run.snapshot.restore(workshop)?;
-    ensure!(
-        fs::read_to_string(&path)? == before,
-        "{} is still changed",
-        mutant.file
-    );
-    Ok(trial)
-}
-
-/// What a harness makes of the code in a worker's copy.
-fn proof(run: &Run, workshop: &Workshop, name: &str) -> Result<Outcome> {
-    let harness = run.project.found.harness(name).context("no harness")?;
-    let run = kani::run(&workshop.tree, &workshop.kani, harness, run.limits())?;
-    Ok(match run.verdict {
-        Verdict::Verified => Outcome::Survived,
-        Verdict::Refuted => Outcome::Killed,
-        // That a cover is lost shows nothing about the assertions.
-        verdict => Outcome::Error(format!("{verdict:?}: {}", run.reason.unwrap_or_default())),
+        Ok(outcomes)
     })
 }
-
-/// What the property tests `prefix*` make of the code in a worker's copy.
-fn twins(run: &Run, workshop: &Workshop, prefix: &str) -> Result<Outcome> {
-    let mut fates = Vec::new();
-    for twins in run.project.twins(prefix) {
-        let mut cargo = Command::new("cargo");
-        cargo.current_dir(&workshop.tree);
-        cargo.args(["test", "--locked", "--no-fail-fast", "-p", twins.package]);
-        cargo.arg("--target-dir").arg(&workshop.test);
-        let ours = match twins.doctests {
-            None => {
-                cargo.args(["--lib", "--tests", "--", prefix]);
-                prefix
-            }
-            Some(file) => {
-                cargo.args(["--doc", "--", file]);
-                file
-            }
-        };
-        let ended = process::run(&mut cargo, run.limits())?;
-        fates.push(match ended.stopped {
-            Some(_) => Outcome::Error("the property tests took too much".to_owned()),
-            None => {
-                fate_of_tests(&ended.stdout, ours, ended.status.success()).unwrap_or_else(|| {
-                    let error = ended.stderr.lines().find(|line| line.starts_with("error"));
-                    Outcome::Error(
-                        error
-                            .unwrap_or("the property tests gave no verdict")
-                            .to_owned(),
-                    )
-                })
-            }
-        });
-    }
-    let killed = fates.contains(&Outcome::Killed);
-    let other = fates.into_iter().find(|fate| *fate != Outcome::Survived);
-    Ok(match other {
-        _ if killed => Outcome::Killed,
-        Some(error) => error,
-        None => Outcome::Survived,
-    })
+/// What the property tests of these names print, or the documentation tests of these files.
+fn tests(tree: &Path, filters: &BTreeSet<String>) -> Result<String> {
+    let files = filters.iter().any(|filter| filter.ends_with(".rs"));
+    // With some mutants a test does not end.
+    let mut cargo = Command::new("timeout");
+    cargo.args(["900", "cargo", "test", "--locked", "-p", "mavseal-proofs"]);
+    cargo
+        .args([if files { "--doc" } else { "--lib" }, "--"])
+        .args(filters);
+    let output = cargo.current_dir(tree).output()?;
+    let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
+    Ok(text(&output.stdout) + &text(&output.stderr))
 }
 
-/// Reads what `cargo test` printed: a kill is a test that failed and whose name begins with
-/// `ours`. None without a verdict: then it did not compile, or no such test was run.
-fn fate_of_tests(output: &str, ours: &str, success: bool) -> Option<Outcome> {
+/// What `cargo test` says of the tests whose names begin with `prefix`: one of them that failed has caught the
+/// mutant. Without any, it is an error: it did not compile, or there is no such test.
+fn of_tests(output: &str, prefix: &str) -> Outcome {
     let results = output.lines().filter_map(|line| {
         let (name, result) = line.strip_prefix("test ")?.split_once(" ... ")?;
-        let function = name.rsplit("::").next()?;
-        let is_ours = function.starts_with(ours) || name.starts_with(ours);
-        is_ours.then_some(result)
+        let ours = name.contains(&format!("::{prefix}")) || name.starts_with(prefix);
+        ours.then_some(result)
     });
-    let (mut passed, mut failed) = (0, 0);
-    for result in results {
-        match result {
-            "ok" => passed += 1,
-            "FAILED" => failed += 1,
-            _ => {}
-        }
+    let results: Vec<_> = results.collect();
+    if results.contains(&"FAILED") {
+        Outcome::Caught
+    } else if results.contains(&"ok") && output.contains("test result: ok") {
+        Outcome::Missed
+    } else {
+        let error = output.lines().find(|line| line.starts_with("error"));
+        Outcome::Error(error.unwrap_or("no such test").to_owned())
     }
-    match (passed, failed, success) {
-        (_, 1.., false) => Some(Outcome::Killed),
-        (1.., 0, true) => Some(Outcome::Survived),
-        _ => None,
-    }
-}
-
-fn summary(trial: &Trial) -> String {
-    let harnesses = trial.harnesses.fates.iter();
-    let twins = trial.twins.fates.iter();
-    let fates = harnesses
-        .map(|(name, fate)| format!("{name} {fate:?}"))
-        .chain(twins.map(|(prefix, fate)| format!("property tests {prefix}* {fate:?}")));
-    fates.collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]
@@ -256,19 +107,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_a_failed_twin_is_a_kill() {
-        let fate = |output, success| fate_of_tests(output, "v1_", success);
-        let passed = "test verify::property tests::v1_random ... ok";
-        let failed = "test verify::property tests::v1_edges ... FAILED";
-        assert_eq!(fate(passed, true), Some(Outcome::Survived));
-        let both = format!("{passed}\n{failed}");
-        assert_eq!(fate(&both, false), Some(Outcome::Killed));
-        let other = "test verify::property tests::w1_v1_edges ... FAILED";
-        for (output, success) in [(other, false), ("", true), ("", false), (passed, false)] {
-            assert_eq!(fate(output, success), None, "{output}");
+    fn only_a_failed_test_has_caught_it() {
+        let passed = "test verify::tests::v1_random ... ok\ntest result: ok.";
+        assert_eq!(of_tests(passed, "v1_"), Outcome::Missed);
+        let failed = "test verify::tests::v1_edges ... FAILED\ntest a::v1_random ... ok";
+        assert_eq!(of_tests(failed, "v1_"), Outcome::Caught);
+        for other in [
+            "test a::w1_v1_edges ... FAILED",
+            "",
+            "error: x",
+            "test a::v1_a ... ok",
+        ] {
+            assert!(
+                matches!(of_tests(other, "v1_"), Outcome::Error(_)),
+                "{other}"
+            );
         }
         let doctest = "test proofs/src/a.rs - a (line 20) - compile fail ... FAILED";
-        let fate = fate_of_tests(doctest, "proofs/src/a.rs", false);
-        assert_eq!(fate, Some(Outcome::Killed));
+        assert_eq!(of_tests(doctest, "proofs/src/a.rs"), Outcome::Caught);
     }
 }

@@ -2,25 +2,22 @@
 
 use std::{fs, path::Path};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, ensure};
 
-use super::{find_program, run, step};
+use super::{run, step};
 
 /// Installs a package. Nothing is removed for it, and nothing is asked.
 ///
 /// # Errors
 /// If this user may not, or apt fails; the error has apt's reason.
 pub(super) fn install(package: &str) -> Result<()> {
-    let sudo = match run("id", &["-u"], ".")?.trim() {
-        "0" => &[][..],
-        _ if find_program("sudo").is_some() && run("sudo", &["-n", "true"], ".").is_ok() => {
-            &["sudo", "-n"]
-        }
-        _ => bail!("this user may not install packages"),
-    };
-    let apt = |arguments: &str| {
-        let command = format!("env LC_ALL=C DEBIAN_FRONTEND=noninteractive apt-get {arguments}");
-        let command: Vec<&str> = sudo.iter().copied().chain(command.split(' ')).collect();
+    let may = is_root() || run("sudo", &["-n", "true"], ".").is_ok();
+    ensure!(may, "this user may not install packages");
+    let apt = |command: &str| {
+        let sudo = if is_root() { "" } else { "sudo -n " };
+        let command =
+            format!("{sudo}env LC_ALL=C DEBIAN_FRONTEND=noninteractive apt-get {command}");
+        let command: Vec<&str> = command.split(' ').collect();
         run(command[0], &command[1..], ".")
     };
     // The lock may be held by the updates that a new machine makes by itself.
@@ -33,16 +30,19 @@ pub(super) fn install(package: &str) -> Result<()> {
     Ok(())
 }
 
+/// Whether this is the user who may do everything.
+pub(super) fn is_root() -> bool {
+    run("id", &["-u"], ".").is_ok_and(|id| id.trim() == "0")
+}
+
 /// Unpacks a package, and what it needs that is not installed, into `folder`.
 ///
 /// # Errors
 /// If apt cannot get them; the error has its reason.
 pub(super) fn unpack(package: &str, folder: &Path) -> Result<()> {
     let parts = folder.with_extension("parts");
-    let partial = ["lists/partial", "cache/archives/partial"];
-    for part in partial {
-        fs::create_dir_all(parts.join(part))?;
-    }
+    fs::create_dir_all(parts.join("lists/partial"))?;
+    fs::create_dir_all(parts.join("cache/archives/partial"))?;
     // Lists of its own: those of the system may be missing or old, and only root can write them.
     let lists = format!("Dir::State::Lists={}", parts.join("lists").display());
     let cache = format!("Dir::Cache={}", parts.join("cache").display());
@@ -58,13 +58,8 @@ pub(super) fn unpack(package: &str, folder: &Path) -> Result<()> {
         let inst = plan.lines().filter_map(|line| line.strip_prefix("Inst "));
         let packages = inst.filter_map(|rest| rest.split(' ').next());
         apt(&["download"].into_iter().chain(packages).collect::<Vec<_>>())?;
-        for entry in fs::read_dir(&parts)? {
-            let path = entry?.path();
-            if path.extension().is_some_and(|extension| extension == "deb") {
-                let [deb, to] = [&path, folder].map(|path| path.display().to_string());
-                run("dpkg-deb", &["--extract", &deb, &to], ".")?;
-            }
-        }
+        let script = "for deb in *.deb; do dpkg-deb --extract $deb \"$0\" || exit; done";
+        run("sh", &["-c", script, &folder.display().to_string()], &parts)?;
         Ok(fs::remove_dir_all(&parts)?)
     })
 }

@@ -35,21 +35,19 @@ pub(crate) fn qemu() -> Result<()> {
 
 /// Installs QEMU, or unpacks it with the script `unpacked` beside it; gives what runs it.
 fn get(unpacked: &Path) -> Result<PathBuf> {
-    let advice =
-        format!("install QEMU for Arm (on Debian and Ubuntu, `apt-get install {PROGRAM}`)");
-    ensure!(
-        find_program("apt-get").is_some(),
-        "{PROGRAM} is missing: {advice}"
-    );
-    eprintln!("{PROGRAM} is missing");
+    let missing = format!("{PROGRAM} is missing");
+    let has_apt = find_program("apt-get").is_some();
+    ensure!(has_apt, "{missing}: install QEMU for Arm");
+    eprintln!("{missing}");
     let reason = match apt::install(PROGRAM) {
         Ok(()) => return find_program(PROGRAM).context("it is installed, yet not on PATH"),
         Err(reason) => reason,
     };
     eprintln!("not installed: {reason:#}");
     let root = unpacked.with_file_name("root");
-    apt::unpack(PROGRAM, &root)
-        .with_context(|| format!("{PROGRAM} can be neither installed nor unpacked: {advice}"))?;
+    let sudo = if apt::is_root() { "" } else { "sudo " };
+    let advice = format!("{missing}: {sudo}apt-get install {PROGRAM}");
+    apt::unpack(PROGRAM, &root).context(advice)?;
     fs::write(unpacked, SCRIPT)?;
     fs::set_permissions(unpacked, Permissions::from_mode(0o755))?;
     Ok(unpacked.to_owned())

@@ -38,8 +38,8 @@ const BUDGETS: [Budget; 11] = [
     demo(Chip::QemuM7, STANDARD, false, 5000, 12_500),
     demo(Chip::QemuM7, STANDARD, true, 13_000, 9_000),
     // A third of the relay's flash is clock, mark, key slots and key change.
-    link("relay", "ardupilotmega", 20_500, 5000),
-    link("relay", "ardupilotmega,standard-signature", 20_500, 5000),
+    link("relay", "ardupilotmega", 20_500, 4750),
+    link("relay", "ardupilotmega,standard-signature", 20_500, 4750),
     link("vehicle", "ardupilotmega,sealing", 25_000, 10_000),
 ];
 

@@ -7,12 +7,10 @@ use cortex_m_rt::entry;
 use mavlink_signing::{
     KeyChangeError, KeyRing, LinkClock, RolloverState, TICKS_PER_SECOND, TimeSource, Timestamp,
 };
-use mavseal_qemu_m7::{
-    Board, Flash, Overrun, PAGE_SIZE, Runs, WallClock, exit, info, log_rejected, warn,
-};
+use mavseal_qemu_m7::{Board, Flash, PAGE_SIZE, Runs, WallClock, exit, info, log_rejected, warn};
 use mavseal_relay::{
-    Clock, Counters, Direction, Event, FlashKeyStore, ForwardMode, PersistentClock, PortError,
-    RejectReason, Relay, TimeBehindMark,
+    Counters, Direction, Endpoint, Event, FlashKeyStore, ForwardMode, LineEvent, PersistentClock,
+    RejectReason, Relay, Side, TimeBehindMark, adapter,
 };
 use mavseal_store::Region;
 
@@ -137,12 +135,17 @@ fn main() -> ! {
     let mut log = Log::default();
     loop {
         let mut observe = |event| log.event(event);
-        let polled = relay.poll(&mut local, &mut link, &mut kept, &mut observe);
-        if let Err(error) = &polled.outbound {
-            log_port(Direction::Outbound, error);
-        }
-        if let Err(error) = &polled.inbound {
-            log_port(Direction::Inbound, error);
+        let polled = adapter::poll(&mut relay, &mut local, &mut link, &mut kept, &mut observe);
+        for (side, polled) in [
+            (Side::Local, &polled.outbound),
+            (Side::Link, &polled.inbound),
+        ] {
+            if let Err(error) = polled {
+                warn!("{}: {}", side, error);
+                let _ = error;
+                // Bytes are lost: what follows may lie within a payload.
+                relay.line_event(side, LineEvent::Overrun, &mut kept, &mut observe);
+            }
         }
         // The local side is a cable: who holds it may set key and clock.
         if let Some(setup) = relay.take_setup() {
@@ -159,7 +162,7 @@ fn main() -> ! {
         if relay.keys().confirm_pending() {
             log_key("New key heard", relay.keys().confirm(&mut slots));
         }
-        if kept.timer().saturating_sub(told) > HOUR {
+        if kept.monotonic().saturating_sub(told) > HOUR {
             told = tell(&mut kept);
         }
         log.turn(polled.moved(), kept.now(), &relay);
@@ -168,7 +171,7 @@ fn main() -> ! {
 
 /// Tells the clock the time of day; gives it.
 fn tell<T: FnMut() -> u64>(kept: &mut Memory<T>) -> u64 {
-    let ticks = kept.timer();
+    let ticks = kept.monotonic();
     if let Some(time) = Timestamp::from_ticks(ticks) {
         log_time(kept.update(TimeSource::Trusted, time));
     }
@@ -217,11 +220,6 @@ fn log_time(result: Result<u64, TimeBehindMark>) {
         warn!("{}", error);
         let _ = error;
     }
-}
-
-fn log_port(direction: Direction, error: &PortError<Overrun, Overrun>) {
-    warn!("{}: {}", direction, error);
-    let _ = (direction, error);
 }
 
 fn log_counters(passed: &str, counters: &Counters) {

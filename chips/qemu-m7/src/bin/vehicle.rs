@@ -9,12 +9,14 @@ use core::time::Duration;
 
 use cortex_m_rt::entry;
 use heapless::Vec;
-use mavlink_signing::TICKS_PER_SECOND;
+use mavlink_signing::{LinkClock, TICKS_PER_SECOND};
 use mavseal_qemu_m7::{
     Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, log_rejected, warn,
 };
-use mavseal_relay::Direction;
-use mavseal_relay::sealed::{Counters, Event, HighWaterMarks, Radio, RejectReason, SealedEndpoint};
+use mavseal_relay::sealed::{
+    HighWaterMarks, Radio, SealedCounters, SealedEndpoint, SealedEvent, SealedRejectReason,
+};
+use mavseal_relay::{Direction, Endpoint, LineEvent, Side, adapter};
 use mavseal_store::{HighWaterMark, Region};
 
 /// The vehicle's key, and those of the stations.
@@ -84,16 +86,19 @@ fn main() -> ! {
     }
     let mut log = Log::default();
     loop {
-        let now = uptime.ticks();
+        let now = uptime.monotonic();
         let mut observe = |event| log.event(event, now);
-        let polled = end.poll(&mut local, &mut radio, now, &mut observe);
+        let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
         if let Err(error) = &polled.outbound {
             warn!("autopilot to radio: {}", error);
             let _ = error;
+            // Bytes are lost: what follows may lie within a payload.
+            end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut observe);
         }
         if let Err(error) = &polled.inbound {
             warn!("radio to autopilot: {}", error);
             let _ = error;
+            end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
         }
         if log.is_quiet(now) {
             log.opened_of();
@@ -106,19 +111,19 @@ fn main() -> ! {
 /// Logs rejections, and the counters when the news have gone quiet.
 #[derive(Default)]
 struct Log {
-    rejected: Runs<(Direction, RejectReason)>,
+    rejected: Runs<(Direction, SealedRejectReason)>,
     opened: [u32; STATIONS],
     news: Option<u64>,
 }
 
 impl Log {
-    fn event(&mut self, event: Event, now: u64) {
+    fn event(&mut self, event: SealedEvent, now: u64) {
         self.news = Some(now);
         match event {
-            Event::Rejected(direction, rejection) => {
+            SealedEvent::Rejected(direction, rejection) => {
                 log_rejected(self.rejected.push((direction, rejection)));
             }
-            Event::Opened(sender) => {
+            SealedEvent::Opened(sender) => {
                 let mut opened = PEERS.iter().zip(&mut self.opened);
                 if let Some((_, count)) = opened.find(|(peer, _)| peer.id == sender) {
                     *count = count.saturating_add(1);
@@ -148,7 +153,7 @@ impl Log {
     }
 }
 
-fn log_counters(done: &str, counters: &Counters) {
+fn log_counters(done: &str, counters: &SealedCounters) {
     let rejected = counters
         .rejections()
         .fold(0_u32, |sum, (_, count)| sum.saturating_add(count));

@@ -1,0 +1,117 @@
+//! The in-line signer as an embassy task on an STM32C092RC: USART 1 is the local side, USART 2 the link side.
+//!
+//! The local side must report what the line loses. embassy's `BufferedUart` does not: it drops bytes without an error
+//! when its buffer is full or the hardware overruns. The ring-buffered receiver reports all of it.
+
+#![no_std]
+#![no_main]
+
+use embassy_executor::Spawner;
+use embassy_stm32::{
+    bind_interrupts, dma,
+    flash::Flash,
+    mode::Async,
+    peripherals::{DMA1_CH1, DMA1_CH2, DMA1_CH3, DMA1_CH4, USART1, USART2},
+    usart::{self, Config, RingBufferedUartRx, Uart, UartTx},
+};
+use embassy_time::{Instant, Timer};
+use mavlink_signing::{Links, SigningKey, Standard, StreamTable, Window};
+use mavseal_relay::{
+    ForwardMode, LineEvent, PersistentClock, Relay,
+    adapter::embedded_io_async::{Line, run},
+};
+use mavseal_store::Region;
+use panic_halt as _;
+
+bind_interrupts!(struct Interrupts {
+    USART1 => usart::InterruptHandler<USART1>;
+    USART2 => usart::InterruptHandler<USART2>;
+    DMA1_CHANNEL1 => dma::InterruptHandler<DMA1_CH1>;
+    DMA1_CHANNEL2_3 => dma::InterruptHandler<DMA1_CH2>, dma::InterruptHandler<DMA1_CH3>;
+    DMAMUX1_DMA1_CH4_5_6_7 => dma::InterruptHandler<DMA1_CH4>;
+});
+
+/// The demonstration's pass-phrase, which everybody knows: a board in use has a key of its own.
+const PASSPHRASE: &str = include_str!("../../../demo/demo.passphrase");
+/// The link id of what this board signs.
+const LINK_OUT: u8 = 1;
+/// Where the mark is: the last two pages of 256 KiB of flash.
+const REGION: Region = Region {
+    start: 252 * 1024,
+    page_size: 2048,
+};
+/// Bytes that may wait for the task: 22 milliseconds of the line at 115,200 baud.
+const RING: usize = 256;
+const MICROS_PER_TICK: u64 = 10;
+
+#[embassy_executor::main]
+async fn main(_spawner: Spawner) {
+    let board = embassy_stm32::init(Default::default());
+    let uarts = (
+        Uart::new(
+            board.USART1,
+            board.PA10,
+            board.PA9,
+            board.DMA1_CH1,
+            board.DMA1_CH2,
+            Interrupts,
+            Config::default(),
+        ),
+        Uart::new(
+            board.USART2,
+            board.PA3,
+            board.PA2,
+            board.DMA1_CH3,
+            board.DMA1_CH4,
+            Interrupts,
+            Config::default(),
+        ),
+    );
+    let (Ok(local), Ok(link)) = uarts else {
+        panic!("115,200 baud");
+    };
+    let (mut local_ring, mut link_ring) = ([0; RING], [0; RING]);
+
+    let flash = Flash::new_blocking(board.FLASH);
+    let mut clock = PersistentClock::new(flash, REGION, ticks).expect("a mark");
+    let key = SigningKey::<Standard>::from_passphrase(PASSPHRASE.trim_end()).expect("a key");
+    let streams = StreamTable::<4>::resume(Links::Any, Window::ONE_MINUTE, clock.floor());
+    let stamper = clock.stamper(LINK_OUT);
+    let relay = Relay::new(key, stamper, streams, ForwardMode::StripSignature);
+    let mut relay = relay.expect("streams remember what is sent");
+
+    let wait_until = async |ticks: u64| {
+        Timer::at(Instant::from_micros(ticks * MICROS_PER_TICK)).await;
+    };
+    // No fault of these UARTs is a closed line, so this ends only if writing by DMA fails.
+    run(
+        &mut relay,
+        line(local, &mut local_ring),
+        line(link, &mut link_ring),
+        &mut clock,
+        wait_until,
+        &mut |_| {},
+    )
+    .await;
+}
+
+/// Ticks of 10 microseconds since the start.
+fn ticks() -> u64 {
+    Instant::now().as_micros() / MICROS_PER_TICK
+}
+
+fn line<'d>(
+    uart: Uart<'d, Async>,
+    ring: &'d mut [u8],
+) -> Line<RingBufferedUartRx<'d>, UartTx<'d, Async>> {
+    let (writer, reader) = uart.split();
+    Line {
+        reader: reader.into_ring_buffered(ring),
+        writer,
+        fault: |error| match error {
+            usart::Error::Framing => LineEvent::FramingError,
+            usart::Error::Noise | usart::Error::Parity => LineEvent::Noise,
+            _ => LineEvent::Overrun,
+        },
+    }
+}
