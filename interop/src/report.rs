@@ -200,7 +200,9 @@ impl Report {
             let same = scenarios.entry((reason.peer, reason.reason)).or_default();
             same.push(reason.scenario);
         }
-        println!("\nWhat the peers do in another way, in every run:");
+        if !scenarios.is_empty() {
+            println!("\nWhat the peers do in another way, in every run:");
+        }
         for ((peer, reason), scenarios) in scenarios {
             println!("  {peer}: {}\n    {reason}", scenarios.join("; "));
         }
