@@ -188,6 +188,7 @@ impl<D: Device> Stage<D> {
         }
         self.nothing_comes()?;
         self.machine.reset()?;
+        self.device.was_reset();
         self.lines.push("(reset)".to_owned());
         self.counts = Default::default();
         self.wait_for_start().context("after a reset")

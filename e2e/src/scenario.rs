@@ -43,6 +43,9 @@ pub trait Device {
 
     /// Prepares for a reset; gives what is to be on its way into each side then.
     fn reset(&mut self) -> [Vec<u8>; 2];
+
+    /// The board has been reset: what was in its memory alone is gone.
+    fn was_reset(&mut self) {}
 }
 
 /// What becomes of frames.

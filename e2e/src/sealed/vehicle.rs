@@ -227,12 +227,15 @@ impl Device for Vehicle {
     }
 
     fn reset(&mut self) -> [Vec<u8>; 2] {
+        Default::default()
+    }
+
+    fn was_reset(&mut self) {
         self.next = None;
         self.above.clear();
         self.accepted_of.clear();
         (self.packages, self.radio_told) = (0, 0);
         self.decoder = hx::Decoder::new();
-        Default::default()
     }
 }
 
