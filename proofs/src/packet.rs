@@ -189,7 +189,11 @@ mod tests {
             let stream = [&noise, packet].concat();
             let found = decode(Resync::NextByte, &stream, &[]);
             assert_eq!(found, [Ok(packet.to_vec())]);
-            assert_eq!(decode(Resync::Silence, &stream, &[]), [], "it may be a payload");
+            assert_eq!(
+                decode(Resync::Silence, &stream, &[]),
+                [],
+                "it may be a payload"
+            );
             for resync in [Resync::NextByte, Resync::Silence] {
                 cut_does_not_matter(resync, &stream, &[1]);
             }

@@ -184,7 +184,9 @@ fn specified<const N: usize>(
         return Err(VerifyError::TooOld);
     }
     let last = last_of(rows, stream(header, stamp)).flatten();
-    let fresh = streams.floor().is_some_and(|floor| stamp.timestamp >= floor);
+    let fresh = streams
+        .floor()
+        .is_some_and(|floor| stamp.timestamp >= floor);
     if !fresh || last.is_some_and(|last| stamp.timestamp <= last) {
         return Err(VerifyError::Replayed);
     }

@@ -6,7 +6,8 @@
 use mavlink_signing::{
     AllowLink, AntiReplay, Authenticate, Frame, FrameRef, Header, KeyRing, KeySlot, LinkClock,
     MessageId, Packet, Profile, RejectUnsigned, ReplayGuard, Resync, SETUP_SIGNING, SetupSigning,
-    SigningKey, Stamper, Timestamp, UnsignedPolicy, accept_unsigned, authenticate, sign_frame,
+    Stamp, Stamper, Timestamp, UnsignedPolicy, Verified, VerifyError, Window, accept_unsigned,
+    authenticate, sign_frame,
 };
 
 use crate::event::{Direction, Event, RejectReason};
@@ -63,6 +64,29 @@ struct Setup {
     system_id: u8,
     component_id: u8,
     came: Option<SetupSigning>,
+    /// The stamp of the last that was signed.
+    last: Option<Timestamp>,
+}
+
+impl Setup {
+    /// A SETUP_SIGNING that is signed with the key in use, later than any before.
+    fn signed<'a, P: Profile>(
+        &mut self,
+        frame: FrameRef<'a>,
+        keys: &KeyRing<P>,
+        time: &impl LinkClock,
+    ) -> Result<Verified<'a>, VerifyError> {
+        let authentic = authenticate(frame, keys.signing())?;
+        let Stamp { link_id, timestamp } = authentic.stamp();
+        let floor = time.floor(keys.signing_slot());
+        if timestamp < floor || self.last.is_some_and(|last| timestamp <= last) {
+            return Err(VerifyError::Replayed);
+        }
+        let window = Window { past: 0, ahead: 0 };
+        let verified = ReplayGuard::new(link_id, window).admit(authentic, timestamp)?;
+        self.last = Some(timestamp);
+        Ok(verified)
+    }
 }
 
 impl Signer {
@@ -110,6 +134,7 @@ impl Signer {
             system_id,
             component_id,
             came: None,
+            last: None,
         });
     }
 
@@ -118,34 +143,37 @@ impl Signer {
     }
 
     /// Keeps what `frame`, a SETUP_SIGNING, says if it is for this end, and either presence is shown or it is signed
-    /// with the key in use. Returns why it goes no further.
+    /// with the key in use, later than any before. Returns why it goes no further.
     fn take_in_setup<P: Profile>(
         &mut self,
         frame: FrameRef<'_>,
-        key: &SigningKey<P>,
+        keys: &KeyRing<P>,
+        time: &impl LinkClock,
     ) -> RejectReason {
-        let signed = authenticate(frame, key).is_ok();
-        let present = self.presence != Presence::Absent;
         let link_id = self.link_id();
         let Some(setup) = &mut self.setup else {
             return RejectReason::SetupSigning;
         };
-        let accepted = accept_unsigned(frame, link_id, &AllowLink { link_id });
-        let payload = match accepted {
-            Ok(accepted) => accepted.payload(),
-            Err(_) if signed => frame.payload(),
-            Err(_) => return RejectReason::SetupSigning,
+        let unsigned = accept_unsigned(frame, link_id, &AllowLink { link_id });
+        let (came, allowed) = match &unsigned {
+            Ok(unsigned) => {
+                let present = self.presence != Presence::Absent;
+                (SetupSigning::from_payload(unsigned.payload()), present)
+            }
+            Err(VerifyError::Signed) => match setup.signed(frame, keys, time) {
+                Ok(verified) => (SetupSigning::from_payload(verified.payload()), true),
+                Err(error) => return error.into(),
+            },
+            Err(error) => return (*error).into(),
         };
         let ours = |came: &SetupSigning| {
             came.target_system == setup.system_id && came.target_component == setup.component_id
         };
-        let Some(came) = SetupSigning::from_payload(payload).ok().filter(ours) else {
-            return RejectReason::SetupSigning;
-        };
-        if !signed && !present {
-            return RejectReason::NoPresence;
+        match came.ok().filter(ours) {
+            Some(_) if !allowed => return RejectReason::NoPresence,
+            Some(ours) => setup.came = Some(ours),
+            None => {}
         }
-        setup.came = Some(came);
         RejectReason::SetupSigning
     }
 
@@ -181,7 +209,7 @@ impl Signer {
         if let Packet::Mavlink2(frame) = packet
             && frame.header().message_id == SETUP_SIGNING
         {
-            return Err(self.take_in_setup(frame, keys.signing()));
+            return Err(self.take_in_setup(frame, keys, time));
         }
         self.other_traffic();
         let frame = passable(packet)?;

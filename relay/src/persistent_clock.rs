@@ -114,12 +114,14 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         keys: &KeyRing<P>,
         timer: T,
     ) -> Result<Self, MarkError> {
-        let mark = |flash, slot| match keys.key(slot) {
-            None => Ok(KeyMark::Unused(flash)),
-            Some(key) => {
-                let mark = HighWaterMark::open(flash, region, binding(key.fingerprint()))?;
-                let floor = Timestamp::from_ticks(mark.get()).unwrap_or(Timestamp::MAX);
-                Ok(KeyMark::Of(mark, floor))
+        let mark = |flash, slot| -> Result<_, MarkError> {
+            match keys.key(slot) {
+                None => Ok(KeyMark::Unused(flash)),
+                Some(key) => {
+                    let mark = HighWaterMark::open(flash, region, binding(key.fingerprint()))?;
+                    let floor = Timestamp::from_ticks(mark.get()).unwrap_or(Timestamp::MAX);
+                    Ok(KeyMark::Of(mark, floor))
+                }
             }
         };
         let [a, b] = flashes;
@@ -138,11 +140,14 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         keys: &KeyRing<P>,
         timer: T,
     ) -> Result<Self, ProvisionError> {
-        let mark = |flash, slot| match keys.key(slot) {
-            None => Ok(KeyMark::Unused(flash)),
-            Some(key) => {
-                let mark = HighWaterMark::provision(flash, region, binding(key.fingerprint()), 0)?;
-                Ok(KeyMark::Of(mark, Timestamp::ZERO))
+        let mark = |flash, slot| -> Result<_, ProvisionError> {
+            match keys.key(slot) {
+                None => Ok(KeyMark::Unused(flash)),
+                Some(key) => {
+                    let mark =
+                        HighWaterMark::provision(flash, region, binding(key.fingerprint()), 0)?;
+                    Ok(KeyMark::Of(mark, Timestamp::ZERO))
+                }
             }
         };
         let [a, b] = flashes;

@@ -117,7 +117,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
         let opener = Opener::from_credentials(peers, last)?;
         Ok(Self {
             outward: Egress {
-                reader: PacketReader::new(Resync::AnnouncedEnd),
+                reader: PacketReader::new(Resync::Silence),
                 packer: Packer::new(max_delay),
                 sealer: Sealer::resume(own.prepare()?, own.id, first),
                 mark: sent,
@@ -251,7 +251,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
             Side::Link => {
                 if self.outward.line.sent(count) {
                     let now = clock.monotonic();
-                    self.outward.reader.restart_idle_timer(now);
+                    self.outward.reader.restart_timer(now);
                     self.outward.advance(&mut self.radio, now, observe);
                 }
             }
@@ -273,7 +273,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
         let now = clock.monotonic();
         match (side, event) {
             (Side::Local, LineEvent::Idle) => outward.reader.silent(),
-            (Side::Local, _) => outward.reader.deafen(now),
+            (Side::Local, _) => outward.reader.fault(now),
             // A frame from the radio ends with a byte of its own.
             (Side::Link, LineEvent::Idle) => {}
             (Side::Link, _) => inward.decoder = hx::Decoder::new(),
@@ -293,8 +293,8 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
 
     fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(SealedEvent)) {
         let now = clock.monotonic();
-        if self.outward.idle_at().is_some_and(|at| now >= at) {
-            self.outward.reader.silent();
+        if self.outward.line.is_empty() {
+            let _ = self.outward.reader.poll(now);
         }
         self.outward.advance(&mut self.radio, now, observe);
     }
@@ -425,14 +425,6 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
         true
     }
 
-    /// When the local side will have been silent for long: see [`Pump::idle_at`](crate::pump::Pump::idle_at).
-    fn idle_at(&self) -> Option<u64> {
-        if !self.line.is_empty() {
-            return None;
-        }
-        self.reader.idle_at()
-    }
-
     /// When there will be something to do that no byte brings.
     fn poll_at(&self, radio: &RadioPoller) -> Option<u64> {
         if !self.line.is_empty() {
@@ -442,7 +434,7 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
             let micros = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
             micros.div_ceil(MICROS_PER_TICK)
         });
-        let deadlines = [self.reader.idle_at(), full, Some(radio.ask_at())];
+        let deadlines = [self.reader.due_at(), full, Some(radio.ask_at())];
         deadlines.into_iter().flatten().min()
     }
 
