@@ -3,7 +3,8 @@
 use mavlink_commsec::field::{HEADER_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::{
     AesGcm, Cipher, CipherError, Credential, EpochHeader, EpochSenderId, Nonce, PackageTag, Packer,
-    Plaintext, SealError, Sealer, SealingKey, SealingKeyError, SenderId, ZeroizeOnDrop, packets,
+    Plaintext, SealError, Sealer, SealingKey, SealingKeyError, SenderId, ZeroizeOnDrop, hx,
+    packets,
 };
 
 use crate::common::{hex, key, message, seal};
@@ -170,6 +171,7 @@ fn failed_unit_uses_the_counter_up() {
 /// Nothing that holds a key or a message shows it.
 #[test]
 fn debug_shows_no_secrets() {
+    let frame = hx::Frame::new(hx::FrameKind::Radio, &[0x41; 20]).expect("a frame");
     let shown = [
         format!("{:?}", key(BASE_KEY, BASE_SALT)),
         format!("{:?}", AesGcm::new(&[0x41; 16])),
@@ -198,6 +200,15 @@ fn debug_shows_no_secrets() {
             format!("{packer:?}")
         },
         format!("{:?}", packets(&[0x41; PLAINTEXT_SIZE])),
+        format!("{frame:?}"),
+        format!("{:?}", frame.encode()),
+        {
+            let mut decoder = hx::Decoder::new();
+            for byte in frame.encode().take(12) {
+                assert_eq!(decoder.push(byte), None);
+            }
+            format!("{decoder:?}")
+        },
     ];
     let expected = [
         "Key(redacted)",
@@ -208,6 +219,9 @@ fn debug_shows_no_secrets() {
         "Opener { senders: [Row { sender: SenderId(5), key: 0, seen: Seen { newest: 0, behind: 18446744073709551615, passed_over: 0 } }], limit: 4294967295, .. }",
         "Packer { pending: 10, rejected: 0, .. }",
         "Packets { rest: 80 }",
+        "Frame { kind: Radio, payload: 20 }",
+        "Encode { payload: 20, .. }",
+        "Decoder { state: Payload(Radio), payload: 10 }",
     ];
     assert_eq!(shown, expected);
 }
