@@ -4,10 +4,38 @@ use core::fmt;
 
 use embedded_storage::nor_flash::NorFlash;
 
-use crate::journal::{Journal, OpenError, Region, StoreError};
+use crate::error::{OpenError, StoreError};
+use crate::journal::{Contents, Journal, Region};
+use crate::record::Binding;
 
 /// Bytes of a mark in its record, little-endian.
 pub const MARK_SIZE: usize = 8;
+
+/// Why there is no mark to begin at. Nothing may be used. Nothing has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum MarkError {
+    /// The region cannot hold one.
+    Open(OpenError),
+    /// There never was one, as far as the flash tells: it is erased, or the first mark was cut. The operator
+    /// has to say where the values begin: [`HighWaterMark::provision`].
+    NotProvisioned,
+    /// The flash is damaged, or what it holds is of another kind or belongs to another key. What was used with
+    /// this key is not known: give up the key, or provision above everything that was ever used.
+    Unreadable,
+}
+
+/// Why no mark is provisioned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum ProvisionError {
+    /// The region cannot hold one.
+    Open(OpenError),
+    /// It could not be stored, or not without leaving what was there before.
+    Store(StoreError),
+}
 
 /// Why a value must not be used. Nothing has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +46,24 @@ pub enum ReserveError {
     Store(StoreError),
     /// There is no mark above 2^64 - 1.
     Exhausted,
+}
+
+impl From<OpenError> for MarkError {
+    fn from(error: OpenError) -> Self {
+        Self::Open(error)
+    }
+}
+
+impl From<OpenError> for ProvisionError {
+    fn from(error: OpenError) -> Self {
+        Self::Open(error)
+    }
+}
+
+impl From<StoreError> for ProvisionError {
+    fn from(error: StoreError) -> Self {
+        Self::Store(error)
+    }
 }
 
 impl From<StoreError> for ReserveError {
@@ -37,18 +83,42 @@ pub struct HighWaterMark<F> {
 }
 
 impl<F: NorFlash> HighWaterMark<F> {
-    /// The mark that `region` of `flash` holds. It is 0 if there never was one, or none can be read, as
-    /// after a cut in the very first write. Nothing is written.
+    /// The mark of `binding` that `region` of `flash` holds. Nothing is written.
     ///
     /// # Errors
     ///
-    /// [`OpenError`].
-    pub fn open(flash: F, region: Region) -> Result<Self, OpenError> {
+    /// [`MarkError`]. There is no mark to fall back to: nothing may be used.
+    pub fn open(flash: F, region: Region, binding: Binding) -> Result<Self, MarkError> {
         // It is safe to start from a mark that the next restart will perhaps not find. Before a value at or
         // above it is used, another mark is stored.
-        let (journal, newest) = Journal::open(flash, region)?;
-        let stored = newest.map_or(0, u64::from_le_bytes);
+        let (journal, contents) = Journal::open(flash, region, binding)?;
+        let stored = match contents {
+            Contents::Record(mark) => u64::from_le_bytes(mark),
+            Contents::Blank | Contents::Interrupted => return Err(MarkError::NotProvisioned),
+            Contents::Unreadable => return Err(MarkError::Unreadable),
+        };
         Ok(Self { journal, stored })
+    }
+
+    /// Stores the first mark of `binding`, which says that every value from `first` on is unused. It takes the
+    /// place of whatever the region holds. So only for a key that is new, or on an operator's word: see
+    /// [`Journal::provision`].
+    ///
+    /// # Errors
+    ///
+    /// [`ProvisionError`].
+    pub fn provision(
+        flash: F,
+        region: Region,
+        binding: Binding,
+        first: u64,
+    ) -> Result<Self, ProvisionError> {
+        let (mut journal, _) = Journal::open(flash, region, binding)?;
+        journal.provision(&first.to_le_bytes())?;
+        Ok(Self {
+            journal,
+            stored: first,
+        })
     }
 
     /// Above every value that was ever used. After a restart everything starts here.
@@ -74,9 +144,34 @@ impl<F: NorFlash> HighWaterMark<F> {
         Ok(())
     }
 
+    /// How often each page was erased so far: [`Journal::erases`].
+    #[must_use]
+    pub const fn erases(&self) -> u32 {
+        self.journal.erases()
+    }
+
     /// The flash, for what else it holds.
     pub fn into_flash(self) -> F {
         self.journal.into_flash()
+    }
+}
+
+impl fmt::Display for MarkError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Open(error) => error.fmt(f),
+            Self::NotProvisioned => f.write_str("the flash holds no mark: none was provisioned"),
+            Self::Unreadable => f.write_str("the mark in flash is damaged, or of another key"),
+        }
+    }
+}
+
+impl fmt::Display for ProvisionError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Open(error) => error.fmt(f),
+            Self::Store(error) => error.fmt(f),
+        }
     }
 }
 
@@ -85,6 +180,24 @@ impl fmt::Display for ReserveError {
         match self {
             Self::Store(error) => error.fmt(f),
             Self::Exhausted => f.write_str("all values are used up"),
+        }
+    }
+}
+
+impl core::error::Error for MarkError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Open(error) => Some(error),
+            Self::NotProvisioned | Self::Unreadable => None,
+        }
+    }
+}
+
+impl core::error::Error for ProvisionError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Open(error) => Some(error),
+            Self::Store(error) => Some(error),
         }
     }
 }

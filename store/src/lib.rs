@@ -16,10 +16,15 @@
 #[cfg(kani)]
 extern crate kani;
 
+mod error;
 mod high_water_mark;
 mod journal;
 #[cfg(feature = "model")]
 pub mod model;
+mod pages;
+mod record;
 
-pub use high_water_mark::{HighWaterMark, MARK_SIZE, ReserveError};
-pub use journal::{Journal, OpenError, Region, StoreError};
+pub use error::{OpenError, StoreError};
+pub use high_water_mark::{HighWaterMark, MARK_SIZE, MarkError, ProvisionError, ReserveError};
+pub use journal::{Contents, Journal, Region};
+pub use record::Binding;

@@ -1,5 +1,7 @@
 //! A flash memory in RAM for tests: words written once, pages erased, power that fails at any step.
 //!
+//! As on an STM32, zeros may be written over a word that was written.
+//!
 //! A cut inside a write leaves the word as it was, whole, or with some of its bits written. Or its bits
 //! read one time and not the next. Or its ECC does not fit, so that reading it fails. A cut inside an erase
 //! does one of these to every word of the page. A number that the test gives decides which.
@@ -39,7 +41,7 @@ pub enum Failure {
     Power,
     /// A word that is read has a bad ECC.
     Ecc,
-    /// A word that is to be written is not erased, or the test wants it to fail.
+    /// A word that is to be written, other than with zeros, is not erased, or the test wants it to fail.
     Write,
     /// The test wants the erase to fail.
     Erase,
@@ -124,7 +126,7 @@ impl<const PAGES: usize> Flash<PAGES> {
         self.failing = of_256;
     }
 
-    /// Makes the word at `offset` one that cannot be read, until its page is erased.
+    /// Makes the word at `offset` one that cannot be read, until its page is erased or it is overwritten.
     pub fn spoil(&mut self, offset: usize) {
         if let Some(word) = self.word(offset / WORD_SIZE) {
             *word = Word::Bad;
@@ -275,7 +277,7 @@ impl<const PAGES: usize> NorFlash for Flash<PAGES> {
             let whole = self.step()?;
             self.writes += 1;
             let before = self.word(index).map_or(Word::Bad, |word| *word);
-            if before != Word::Erased {
+            if before != Word::Erased && *chunk != [0; WORD_SIZE] {
                 return Err(Failure::Write);
             }
             let after = Word::Written(*chunk);
