@@ -68,12 +68,10 @@ impl<F: NorFlash> PacedMark<F> {
         if counter < self.mark.get() {
             return Ok(());
         }
-        let ahead = self
-            .stored
-            .map_or(self.pace.least, |(before, at, ahead)| {
-                let used = counter.saturating_sub(before);
-                self.pace.next(ahead, used, now.saturating_sub(at))
-            });
+        let ahead = self.stored.map_or(self.pace.least, |(before, at, ahead)| {
+            let used = counter.saturating_sub(before);
+            self.pace.next(ahead, used, now.saturating_sub(at))
+        });
         self.mark.reserve(counter, ahead)?;
         self.stored = Some((counter, now, ahead));
         Ok(())
