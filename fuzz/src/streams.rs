@@ -31,7 +31,7 @@ pub struct Stream<'a> {
 pub fn decoder_chunks(input: Stream<'_>) {
     let mut stream = input.bytes.to_vec();
     repair::stream(&mut stream, input.spared, |_, _| {});
-    let resync = [Resync::AnnouncedEnd, Resync::NextByte][usize::from(input.next_byte)];
+    let resync = [Resync::Silence, Resync::NextByte][usize::from(input.next_byte)];
     packet::cut_does_not_matter(resync, &stream, &input.cuts.map(usize::from));
 
     let mut decoder = Decoder::new(resync, crc_extra);

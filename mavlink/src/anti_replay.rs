@@ -12,7 +12,7 @@ pub trait AntiReplay {
     ///
     /// # Errors
     ///
-    /// Those of [`ReplayGuard::admit`], and [`VerifyError::StreamsFull`].
+    /// Those of [`ReplayGuard::admit`], and [`VerifyError::Reflected`].
     fn admit<'a>(
         &mut self,
         frame: Authentic<'a>,
@@ -28,6 +28,13 @@ pub trait AntiReplay {
 
     /// Remembers a frame that this end has signed and sends, so that its reflection is rejected.
     fn record_sent(&mut self, frame: FrameRef<'_>);
+
+    /// A receiver of the same link and window for another key: it has accepted nothing, and accepts nothing stamped
+    /// before `first`.
+    #[must_use]
+    fn renewed(&self, first: Timestamp) -> Self
+    where
+        Self: Sized;
 
     /// Whether a frame that this end sends for `link_id`, and [records](AntiReplay::record_sent), is
     /// rejected when it comes back.
@@ -48,6 +55,10 @@ impl AntiReplay for ReplayGuard {
     }
 
     fn record_sent(&mut self, _frame: FrameRef<'_>) {}
+
+    fn renewed(&self, first: Timestamp) -> Self {
+        Self::resume(self.link_id(), self.window(), first)
+    }
 
     fn rejects_own(&self, link_id: u8) -> bool {
         link_id != self.link_id()

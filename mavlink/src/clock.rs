@@ -28,9 +28,8 @@ pub fn system_time(payload: &[u8]) -> Option<Timestamp> {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum TimeSource {
     /// Anybody who can change what it says could also change this program. Such sources are a real-time
-    /// clock on the board and the operating system. So is the `initial_timestamp` of a
-    /// [`SetupSigning`](crate::SetupSigning) that came in on a trusted port. It sets the clock, forward or
-    /// back.
+    /// clock on the board and the operating system. It sets the clock, forward or back, up to the
+    /// [ceiling](Clock::CEILING).
     Trusted,
     /// Others can change what it says: GNSS, which is easy to spoof, and SYSTEM_TIME. It moves the clock
     /// forward by small steps, and never syncs it.
@@ -54,7 +53,7 @@ pub enum SyncState {
 /// | clock | a frame in the window | a frame outside of it |
 /// |---|---|---|
 /// | [`SyncState::Synced`] | slews it | is rejected, and moves nothing |
-/// | [`SyncState::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; more than [`Clock::MAX_STEP`] and the window ahead, is rejected |
+/// | [`SyncState::Unsynced`] | keeps it within a [`RESERVATION`] of its stamp | sets it to that; beyond [`Clock::limit`] and the window, is rejected |
 ///
 /// Only authentic frames that are newer than all before get this far. To slew is to move the clock towards
 /// the stamp, by no more than a crystal may have drifted since it was set. A reservation is what the sender
@@ -67,11 +66,11 @@ pub enum SyncState {
 /// * It cannot tell how long a frame has been on its way; order alone protects it. A recording that this
 ///   end never heard is accepted, once and in order.
 ///
-/// * A peer with a wrong clock takes it along, by up to [`Clock::MAX_STEP`]. It never goes back behind what
-///   it has accepted and stamped. Until that time has come, peers with the right time reject its frames.
-///   After a restart it rejects theirs.
+/// * A peer with a wrong clock takes it along, by up to [`Clock::MAX_STEP`] in all until a restart. It never goes back
+///   behind what it has accepted and stamped. Until that time has come, peers with the right time reject its frames.
+///   After a restart it rejects theirs. A new key ends that: [`Clock::begin`].
 ///
-/// A board that reads a clock, or is set on a trusted port, does not pay it.
+/// A board that reads a clock does not pay it.
 ///
 /// All moments of the timer are ticks of 10 microseconds, from anywhere, and never go back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +88,11 @@ pub struct Clock {
     /// Ticks that peers have slewed it since, either way.
     slewed: u64,
     drift: u32,
+    /// The time from which peers may take it ahead, when the timer showed `anchored`. Before [`Clock::RELEASE`]: nobody
+    /// has said yet what time it is.
+    anchor: Timestamp,
+    anchored: u64,
+    ceiling: Timestamp,
 }
 
 impl Clock {
@@ -96,12 +100,19 @@ impl Clock {
     /// microseconds.
     pub const MAX_BOUNDED_STEP: u64 = TICKS_PER_SECOND;
 
-    /// The most that a frame takes an unsynced clock forward: 365 days, in ticks of 10 microseconds. A
-    /// board without a clock that was off for longer must be set on a trusted port.
+    /// The most that peers take an unsynced clock forward, in all frames until a restart or a new key: 365 days, in
+    /// ticks of 10 microseconds. A board without a clock that was off for longer needs a new key.
     ///
-    /// A clock that shows less than this after 2015 has never learnt the time, from a source or from a
-    /// frame. Nothing bounds its first frame.
+    /// A clock that shows a time before [`Clock::RELEASE`] has never learnt the time, from a source or from a
+    /// frame. Its first frame is bounded by the ceiling alone.
     pub const MAX_STEP: u64 = 365 * 24 * 3600 * TICKS_PER_SECOND;
+
+    /// The beginning of 2026: before this version was made, so before any time that is right.
+    pub const RELEASE: Timestamp = year(1_767_225_600);
+
+    /// The beginning of 2046, 20 years later, unless [said otherwise](Clock::until): nothing sets the clock beyond it.
+    /// So no frame and no source uses up the stamps of a key, which end in 2104.
+    pub const CEILING: Timestamp = year(2_398_377_600);
 
     /// How wrong a timer on a crystal may be, unless [said otherwise](Clock::drifting): one tick in 2^12,
     /// which is 244 parts in a million.
@@ -119,7 +130,17 @@ impl Clock {
             stepped: 0,
             slewed: 0,
             drift: Self::CRYSTAL,
+            anchor: earliest,
+            anchored: timer,
+            ceiling: Self::CEILING,
         }
+    }
+
+    /// The same clock, which nothing sets beyond `ceiling`: when the firmware was built and some years more.
+    #[must_use]
+    pub const fn until(mut self, ceiling: Timestamp) -> Self {
+        self.ceiling = ceiling;
+        self
     }
 
     /// The same clock on a timer that is wrong by up to one tick in 2^`drift`: 6 (1.6 %) for an RC
@@ -156,19 +177,31 @@ impl Clock {
         (Window::ONE_MINUTE.past / 8) << self.drift
     }
 
+    /// Beyond which nothing sets it.
+    #[must_use]
+    pub const fn ceiling(&self) -> Timestamp {
+        self.ceiling
+    }
+
+    /// Whether `time` may be right: from [`Clock::RELEASE`] to the ceiling.
+    #[must_use]
+    pub fn is_plausible(&self, time: Timestamp) -> bool {
+        (Self::RELEASE..=self.ceiling).contains(&time)
+    }
+
     /// Takes `time` from `source`. Returns the ticks that the clock went forward.
     ///
     /// A bounded source moves it by [`Clock::MAX_BOUNDED_STEP`] in all until a trusted one sets it, however
     /// often it is asked. A time behind the clock changes nothing, unless the source is trusted.
-    /// [`Timestamp::ZERO`] never changes anything.
+    /// [`Timestamp::ZERO`], and what lies beyond the ceiling, never changes anything.
     pub fn update(&mut self, source: TimeSource, time: Timestamp, timer: u64) -> u64 {
-        if time == Timestamp::ZERO {
+        if time == Timestamp::ZERO || time > self.ceiling {
             return 0;
         }
         let ahead = time.ticks_since(self.now(timer));
         match source {
             TimeSource::Trusted => {
-                *self = Self::unsynced(time, timer).drifting(self.drift);
+                self.restart(time, timer);
                 self.synced = true;
                 ahead
             }
@@ -182,15 +215,42 @@ impl Clock {
         }
     }
 
+    /// A new key is in use, with `initial` as its first timestamp, such as the `initial_timestamp` of a
+    /// [`SetupSigning`](crate::SetupSigning). A clock that is not synced begins anew there, if the time
+    /// [may be right](Clock::is_plausible); whatever took it away before has no effect any longer. It is not
+    /// synced by it, and a synced one is not touched.
+    pub fn begin(&mut self, initial: Timestamp, timer: u64) {
+        if self.sync(timer) == SyncState::Unsynced && self.is_plausible(initial) {
+            self.restart(initial, timer);
+        }
+    }
+
+    const fn restart(&mut self, time: Timestamp, timer: u64) {
+        let (drift, ceiling) = (self.drift, self.ceiling);
+        *self = Self::unsynced(time, timer).drifting(drift).until(ceiling);
+    }
+
+    /// How far peers can take a clock that is not synced: [`Clock::MAX_STEP`] beyond where it would be without them,
+    /// and never beyond the ceiling.
+    #[must_use]
+    pub fn limit(&self, timer: u64) -> Timestamp {
+        if self.anchor < Self::RELEASE {
+            return self.ceiling;
+        }
+        let running = timer.saturating_sub(self.anchored);
+        let limit = self
+            .anchor
+            .saturating_add(running.saturating_add(Self::MAX_STEP));
+        limit.min(self.ceiling)
+    }
+
     /// The moment to compare `stamp`, of an authentic frame, with. A synced clock gives its time. An
-    /// unsynced one gives the stamp itself, but no more than [`Clock::MAX_STEP`] ahead of its time.
+    /// unsynced one gives the stamp itself, but no more than its [`limit`](Clock::limit).
     #[must_use]
     pub fn reference_time(&self, stamp: Timestamp, timer: u64) -> Timestamp {
-        let now = self.now(timer);
         match self.sync(timer) {
-            SyncState::Synced => now,
-            SyncState::Unsynced if now.ticks() < Self::MAX_STEP => stamp,
-            SyncState::Unsynced => stamp.min(now.saturating_add(Self::MAX_STEP)),
+            SyncState::Synced => self.now(timer),
+            SyncState::Unsynced => stamp.min(self.limit(timer)),
         }
     }
 
@@ -203,6 +263,9 @@ impl Clock {
                 let latest = stamp.saturating_add(RESERVATION);
                 self.time = now.clamp(earlier(stamp, RESERVATION), latest);
                 self.since = timer;
+                if self.anchor < Self::RELEASE {
+                    (self.anchor, self.anchored) = (self.time, timer);
+                }
             }
             SyncState::Synced => {
                 let drifted = timer.saturating_sub(self.set) >> self.drift;
@@ -214,6 +277,14 @@ impl Clock {
                 self.since = timer;
             }
         }
+    }
+}
+
+/// A moment in seconds since 1970, which lies in the range.
+const fn year(unix_seconds: u64) -> Timestamp {
+    match Timestamp::from_unix_seconds(unix_seconds) {
+        Some(time) => time,
+        None => Timestamp::MAX,
     }
 }
 

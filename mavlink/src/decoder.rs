@@ -3,6 +3,7 @@
 use core::fmt;
 
 use heapless::Vec;
+use zeroize::Zeroize;
 
 use crate::crc::checksum;
 use crate::error::ParseError;
@@ -168,17 +169,38 @@ pub enum Resync {
     /// At its second byte: the magic byte may have been noise, and what follows a real packet. For
     /// packets that are verified afterwards.
     ///
-    /// A packet inside the payload of a damaged or unknown one comes out too. A sender can cause a checksum
-    /// over up to 259 bytes with every byte that it sends: one magic byte after the other does.
+    /// A packet inside the payload of a damaged or unknown one comes out too. A sender can cause a checksum over about
+    /// 64 bytes with every byte that it sends: 8 of MAVLink 1, and 56 of MAVLink 2, whose beginning takes 5 bytes.
     NextByte,
-    /// After the end that it announces: the payload of a packet that was damaged, but came with all its
-    /// bytes, is never taken for packets. For packets that are trusted because of where they come from.
+    /// After a silence. For packets that are trusted because of where they come from: what lies inside a payload never
+    /// becomes a packet, as long as the decoder is told of each [`fault`](Decoder::fault) of the line.
     ///
-    /// Where bytes were lost or came in between, that end may lie inside a packet behind it, whose payload
-    /// is then searched. Noise that begins like a packet may cost the packets behind it, 280 bytes at most.
-    /// It costs as much again where another magic byte comes before a packet begins.
-    AnnouncedEnd,
+    /// Each byte is part of a packet, or the place in the stream is lost: a byte between packets that is no magic
+    /// byte, a bad checksum, an unknown message, unknown flags. Then all is dropped until the line has been silent for
+    /// longer than its sender ever pauses within a packet. A packet that has begun is never given up at a pause: the
+    /// bytes that it announces are waited for.
+    ///
+    /// Bytes that were lost without notice are found by the checksum, but for one packet in 2^16, or one that somebody
+    /// made fit who knew what was lost.
+    Silence,
 }
+
+/// What becomes of bytes that come in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Intake {
+    /// They go into the buffer.
+    Open,
+    /// They wait: what has begun in the buffer goes no further, and has not been read to its end yet.
+    Ended,
+    /// They are dropped: they may be the rest of a payload.
+    Deaf,
+}
+
+/// Bytes of MAVLink 1 packets under a checksum for each byte that comes in, with [`Resync::NextByte`]: so a flood of
+/// magic bytes costs little. A packet takes one for each byte of its own.
+const CREDIT: usize = 8;
+/// The most of it that is saved up: enough for any packet.
+const MAX_CREDIT: usize = CREDIT * MAX_FRAME_SIZE;
 
 /// Finds the packets in a stream of bytes.
 ///
@@ -199,15 +221,14 @@ pub enum Resync {
 /// assert!(decoder.read().is_none());
 /// assert_eq!(decoder.dropped(), 5);
 /// ```
-#[derive(Clone, Debug)]
 pub struct Decoder {
     buffer: Vec<u8, MAX_FRAME_SIZE>,
     /// Bytes of `buffer` that are done with.
     done: usize,
     /// Bytes after them that the last packet read holds.
     lent: usize,
-    /// No byte has come for so long that no packet begun will be finished.
-    idle: bool,
+    intake: Intake,
+    credit: usize,
     dropped: u32,
     resync: Resync,
     crc_extra: fn(MessageId) -> Option<u8>,
@@ -223,7 +244,8 @@ impl Decoder {
             buffer: Vec::new(),
             done: 0,
             lent: 0,
-            idle: false,
+            intake: Intake::Open,
+            credit: MAX_CREDIT,
             dropped: 0,
             crc_extra,
         }
@@ -233,28 +255,46 @@ impl Decoder {
     ///
     /// There is room for at least one whenever [`read`](Self::read) has returned `None`.
     pub fn write(&mut self, bytes: &[u8]) -> usize {
+        match self.intake {
+            Intake::Open => self.append(bytes),
+            Intake::Ended => 0,
+            Intake::Deaf => {
+                self.dropped = self.dropped.saturating_add(bytes.len() as u32);
+                bytes.len()
+            }
+        }
+    }
+
+    fn append(&mut self, bytes: &[u8]) -> usize {
         self.take_back();
-        let done = self.done.min(self.buffer.len());
+        let (done, end) = (self.done.min(self.buffer.len()), self.buffer.len());
         if done > 0 {
             self.buffer.copy_within(done.., 0);
-            self.buffer.truncate(self.buffer.len() - done);
+            // What was done with may have been a key.
+            self.buffer
+                .get_mut(end - done..)
+                .unwrap_or_default()
+                .fill(0);
+            self.buffer.truncate(end - done);
             self.done = 0;
         }
-        let room = self.room();
+        let room = MAX_FRAME_SIZE - self.buffer.len();
         let taken = bytes.get(..room).unwrap_or(bytes);
         let appended = self.buffer.extend_from_slice(taken);
         debug_assert!(appended.is_ok(), "only as many as there is room for");
-        if !taken.is_empty() {
-            self.idle = false;
-        }
+        self.credit = MAX_CREDIT.min(self.credit + CREDIT * taken.len());
         taken.len()
     }
 
-    /// Bytes that [`write`](Self::write) would take now: 0 to 280.
+    /// Bytes that [`write`](Self::write) would take now for certain: 0 to 280.
     #[must_use]
     pub fn room(&self) -> usize {
         let kept = self.buffer.len() - (self.done + self.lent).min(self.buffer.len());
-        MAX_FRAME_SIZE - kept
+        match self.intake {
+            Intake::Open => MAX_FRAME_SIZE - kept,
+            Intake::Ended => 0,
+            Intake::Deaf => MAX_FRAME_SIZE,
+        }
     }
 
     /// The next packet, or why something that began like one is none; `None` when more bytes are
@@ -271,49 +311,110 @@ impl Decoder {
             buffer,
             done,
             lent,
-            idle,
+            intake,
+            credit,
             dropped,
             resync,
             crc_extra,
         } = self;
         loop {
             let pending = buffer.get(*done..).unwrap_or_default();
+            if pending.is_empty() {
+                if *intake == Intake::Ended {
+                    *intake = Intake::Open;
+                }
+                return None;
+            }
             let mut drop = |count: usize| {
                 *done += count;
                 *dropped = dropped.saturating_add(count as u32);
             };
-            match Packet::parse(pending, *crc_extra) {
+            let searches = *resync == Resync::NextByte;
+            if searches && !afford(credit, pending) {
+                drop(1);
+                continue;
+            }
+            let found = Packet::parse(pending, *crc_extra);
+            let cut_short = matches!(found, Err(DecodeError::Parse(ParseError::Truncated)));
+            if cut_short && *intake == Intake::Open {
+                return None;
+            }
+            match found {
                 Ok(packet) => {
                     *lent = packet.as_bytes().len();
                     return Some(Ok(packet));
                 }
-                Err(DecodeError::Parse(ParseError::BadMagic(_))) => drop(noise(pending)),
-                Err(DecodeError::Parse(ParseError::Truncated)) => {
-                    if pending.is_empty() || !*idle {
-                        return None;
-                    }
-                    drop(resync.skip(pending).min(pending.len()));
+                Err(DecodeError::Parse(ParseError::BadMagic(_))) if searches => {
+                    drop(noise(pending));
                 }
                 Err(fault) => {
-                    let skip = resync.skip(pending);
-                    // What it announces may not have come yet; it is waited for like a packet.
-                    if skip > pending.len() && !*idle {
-                        return None;
+                    drop(if searches { 1 } else { pending.len() });
+                    // Where the next packet begins is no longer known.
+                    if !searches && *intake == Intake::Open {
+                        *intake = Intake::Deaf;
                     }
-                    drop(skip.min(pending.len()));
-                    return Some(Err(fault));
+                    let no_packet = matches!(fault, DecodeError::Parse(ParseError::BadMagic(_)));
+                    if !cut_short && !no_packet {
+                        return Some(Err(fault));
+                    }
                 }
             }
         }
     }
 
-    /// Tells the decoder that the line has been silent for longer than any sender pauses within a packet.
+    /// Tells the decoder that the line has been silent for longer than its sender ever pauses within a packet.
     ///
-    /// What has begun like a packet is given up. So noise that announces 255 bytes no longer holds back
-    /// what follows. With [`Resync::NextByte`] the next [`read`](Self::read) finds the packet behind such
-    /// noise.
-    pub const fn idle(&mut self) {
-        self.idle = true;
+    /// With [`Resync::NextByte`], what has begun like a packet is given up, and the next [`read`](Self::read) finds the
+    /// packet behind it. With [`Resync::Silence`], the next byte begins a packet, if the place was lost; a packet that
+    /// has begun is still waited for.
+    pub fn idle(&mut self) {
+        if self.resync == Resync::NextByte || self.intake == Intake::Deaf {
+            self.end();
+        }
+    }
+
+    /// Tells the decoder that bytes of the line were lost, came in between, or were changed, behind those written so
+    /// far. What has begun is given up. With [`Resync::Silence`] all is dropped until [`idle`](Self::idle).
+    pub fn fault(&mut self) {
+        match self.resync {
+            Resync::NextByte => self.end(),
+            Resync::Silence => self.intake = Intake::Deaf,
+        }
+    }
+
+    /// What is in the buffer goes no further.
+    fn end(&mut self) {
+        let (left, _) = self.begun();
+        self.intake = if left == 0 {
+            Intake::Open
+        } else {
+            Intake::Ended
+        };
+    }
+
+    /// Whether bytes are dropped until the line is silent: with [`Resync::Silence`] alone.
+    #[must_use]
+    pub fn is_deaf(&self) -> bool {
+        self.intake == Intake::Deaf
+    }
+
+    /// What has begun like a packet, once [`read`](Self::read) has returned `None`: how many bytes of it have come, 0 to
+    /// 279, and how many there will be, 8 to 280; 280 as long as its length has not come.
+    #[must_use]
+    pub fn begun(&self) -> (usize, usize) {
+        let pending = self.buffer.get(self.done + self.lent..).unwrap_or_default();
+        let announced = announced_size(pending).unwrap_or(MAX_FRAME_SIZE);
+        (pending.len(), announced)
+    }
+
+    /// Gives up the first byte of what has begun like a packet, since its end has not come in time: the next
+    /// [`read`](Self::read) looks for a packet behind it. Once `read` has returned `None`.
+    pub fn give_up(&mut self) {
+        self.take_back();
+        if self.done < self.buffer.len() {
+            self.done += 1;
+            self.dropped = self.dropped.saturating_add(1);
+        }
     }
 
     /// Bytes that belonged to no packet, since the start; stays at the top of its range.
@@ -322,10 +423,34 @@ impl Decoder {
         self.dropped
     }
 
-    /// The last packet has been looked at: its bytes are done with.
-    const fn take_back(&mut self) {
-        self.done += self.lent;
+    /// The last packet has been looked at: its bytes are done with, and wiped, as it may have carried a key.
+    fn take_back(&mut self) {
+        let end = self.done + self.lent;
+        let lent = self.buffer.get_mut(self.done..end).unwrap_or_default();
+        lent.fill(0);
+        self.done = end;
         self.lent = 0;
+    }
+}
+
+/// Without the bytes: they may be a key.
+impl fmt::Debug for Decoder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Decoder")
+            .field(
+                "held",
+                &(self.buffer.len() - self.done.min(self.buffer.len())),
+            )
+            .field("intake", &self.intake)
+            .field("dropped", &self.dropped)
+            .field("resync", &self.resync)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Drop for Decoder {
+    fn drop(&mut self) {
+        self.buffer.zeroize();
     }
 }
 
@@ -336,19 +461,15 @@ impl Decoder {
     /// with and lent out; nothing dropped so far.
     #[must_use]
     pub fn holding(
-        self,
+        mut self,
         bytes: [u8; MAX_FRAME_SIZE],
         length: usize,
         [done, lent]: [usize; 2],
     ) -> Self {
-        let mut buffer = Vec::from_array(bytes);
-        buffer.truncate(length);
-        Self {
-            buffer,
-            done,
-            lent,
-            ..self
-        }
+        self.buffer = Vec::from_array(bytes);
+        self.buffer.truncate(length);
+        (self.done, self.lent) = (done, lent);
+        self
     }
 
     /// For proofs: what is done with and what is lent out lie in the buffer.
@@ -370,14 +491,18 @@ impl Decoder {
     }
 }
 
-impl Resync {
-    /// How many bytes of `pending`, which begins like a packet and is none, to give up. More than there are
-    /// if its end has not come yet.
-    fn skip(self, pending: &[u8]) -> usize {
-        match self {
-            Self::NextByte => 1,
-            Self::AnnouncedEnd => announced_size(pending).unwrap_or(pending.len()),
-        }
+/// Whether there is credit for the checksum of what `pending` begins like, which is taken then.
+fn afford(credit: &mut usize, pending: &[u8]) -> bool {
+    let size = announced_size(pending).filter(|size| *size <= pending.len());
+    match (pending.first(), size) {
+        (Some(&MAGIC_V1), Some(size)) => match credit.checked_sub(size) {
+            Some(left) => {
+                *credit = left;
+                true
+            }
+            None => false,
+        },
+        _ => true,
     }
 }
 

@@ -71,8 +71,8 @@ pub enum VerifyError {
     TooOld,
     /// Authentic, but not newer than a frame already accepted: a replay, or reordered.
     Replayed,
-    /// Authentic, but of a stream that is new, and every row of the receiver's table is taken.
-    StreamsFull,
+    /// Authentic, but sent by this end itself: in the name of a system, and on a link, that it signs for.
+    Reflected,
     /// Signed, where only unsigned frames belong. The caller is at fault.
     Signed,
     /// Would be accepted, but no mark above its timestamp can be stored. This end's memory is at fault.
@@ -135,7 +135,7 @@ impl fmt::Display for VerifyError {
             Self::FromFuture => f.write_str("stamped in the future"),
             Self::TooOld => f.write_str("stamped too long ago"),
             Self::Replayed => f.write_str("not newer than the last accepted frame"),
-            Self::StreamsFull => f.write_str("a new stream, and the table of streams is full"),
+            Self::Reflected => f.write_str("of a system that this end signs for: sent back"),
             Self::Signed => f.write_str("the frame is signed"),
             Self::NotStored => f.write_str("no mark above the timestamp can be stored"),
         }

@@ -3,6 +3,7 @@
 use core::fmt;
 
 use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
 use zeroize::Zeroize;
 
 use crate::field::KEY_SIZE;
@@ -16,8 +17,14 @@ use crate::profile::{Hmac, Profile};
 pub enum KeyError {
     /// Not 32 bytes, but this many.
     WrongLength(usize),
-    /// All bytes are zero, as in storage that was never written, or was erased.
+    /// All bytes are zero, as in memory that was never written.
     AllZero,
+    /// All bytes are 0xFF: what erased flash reads as.
+    Erased,
+    /// The key of the empty pass-phrase, which everybody knows.
+    EmptyPassphrase,
+    /// One of this project's demonstration keys, which everybody knows, where a key is to be kept.
+    Published,
 }
 
 impl fmt::Display for KeyError {
@@ -27,6 +34,11 @@ impl fmt::Display for KeyError {
                 write!(f, "a key has {KEY_SIZE} bytes, this one has {length}")
             }
             Self::AllZero => f.write_str("a key of zeros only is no key"),
+            Self::Erased => f.write_str("a key of 0xFF only is erased flash"),
+            Self::EmptyPassphrase => {
+                f.write_str("the key of the empty pass-phrase is known to all")
+            }
+            Self::Published => f.write_str("a demonstration key is known to all"),
         }
     }
 }
@@ -48,15 +60,20 @@ impl<P: Profile> SigningKey<P> {
     ///
     /// # Errors
     ///
-    /// [`KeyError::WrongLength`] unless there are 32 bytes; [`KeyError::AllZero`] for storage
-    /// that nobody has written a key to.
+    /// [`KeyError::WrongLength`] unless there are 32 bytes; [`KeyError::AllZero`] and [`KeyError::Erased`] for
+    /// storage that nobody has written a key to; [`KeyError::EmptyPassphrase`].
     pub fn new(bytes: &[u8]) -> Result<Self, KeyError> {
         let key: &[u8; KEY_SIZE] = bytes
             .try_into()
             .map_err(|_| KeyError::WrongLength(bytes.len()))?;
-        // Looks at every byte, so that time says nothing about where the first other one is.
-        if key.iter().fold(0, |all, byte| all | byte) == 0 {
+        if is_same(key, &[0; KEY_SIZE]) {
             return Err(KeyError::AllZero);
+        }
+        if is_same(key, &[0xFF; KEY_SIZE]) {
+            return Err(KeyError::Erased);
+        }
+        if is_same(key, &EMPTY_PASSPHRASE) {
+            return Err(KeyError::EmptyPassphrase);
         }
         Ok(Self {
             profile: P::new(key),
@@ -67,11 +84,11 @@ impl<P: Profile> SigningKey<P> {
     /// Planner make it of one in ASCII.
     ///
     /// The key is as hard to guess as the pass-phrase: an attacker tries a billion hashes a second. A
-    /// newline at the end of `passphrase` is part of it, and changes the key. An empty one is accepted.
+    /// newline at the end of `passphrase` is part of it, and changes the key.
     ///
     /// # Errors
     ///
-    /// [`KeyError::AllZero`], which no pass-phrase is known to give.
+    /// [`KeyError::EmptyPassphrase`]. No pass-phrase is known to give another.
     pub fn from_passphrase(passphrase: &str) -> Result<Self, KeyError> {
         let mut bytes = passphrase_key(passphrase);
         let key = Self::new(&bytes);
@@ -100,6 +117,33 @@ impl<P: Profile> SigningKey<P> {
 #[must_use]
 pub fn passphrase_key(passphrase: &str) -> [u8; KEY_SIZE] {
     Sha256::digest(passphrase).into()
+}
+
+/// SHA-256 of nothing.
+const EMPTY_PASSPHRASE: [u8; KEY_SIZE] = [
+    0xE3, 0xB0, 0xC4, 0x42, 0x98, 0xFC, 0x1C, 0x14, 0x9A, 0xFB, 0xF4, 0xC8, 0x99, 0x6F, 0xB9, 0x24,
+    0x27, 0xAE, 0x41, 0xE4, 0x64, 0x9B, 0x93, 0x4C, 0xA4, 0x95, 0x99, 0x1B, 0x78, 0x52, 0xB8, 0x55,
+];
+
+/// The keys of this project's demonstrations: `chips/demo/demo.key`, and the key of `chips/demo/demo.passphrase`.
+const PUBLISHED: [[u8; KEY_SIZE]; 2] = [
+    *b"mavseal demo key, not a secret!!",
+    [
+        0xF1, 0x98, 0x55, 0xFA, 0xC1, 0x5A, 0xD5, 0x25, 0x2F, 0x84, 0x1F, 0xB1, 0xC5, 0x98, 0x45,
+        0x89, 0xDE, 0x2D, 0x43, 0x76, 0xE5, 0x78, 0x39, 0xB3, 0x64, 0xAF, 0x92, 0x28, 0xEF, 0x0A,
+        0x9A, 0x5C,
+    ],
+];
+
+/// Whether everybody has these bytes, from this project's demonstrations: no key to keep.
+#[must_use]
+pub fn is_published(key: &[u8; KEY_SIZE]) -> bool {
+    PUBLISHED.iter().any(|known| is_same(key, known))
+}
+
+/// Looks at every byte, so that time says nothing about where the first other one is.
+fn is_same(one: &[u8; KEY_SIZE], other: &[u8; KEY_SIZE]) -> bool {
+    one.ct_eq(other).into()
 }
 
 /// What [`SigningKey::fingerprint`] shows: 4 bytes, as `1a2b-3c4d`.

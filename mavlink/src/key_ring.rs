@@ -7,9 +7,69 @@ use subtle::ConstantTimeEq;
 use crate::error::{NotStored, VerifyError};
 use crate::field::KEY_SIZE;
 use crate::frame::FrameRef;
-use crate::key::{KeyError, SigningKey};
+use crate::key::{KeyError, SigningKey, is_published};
 use crate::profile::Profile;
 use crate::verify::{Authentic, Verified, authenticate};
+
+/// Which of the two places of a [`KeyRing`] a key is in: the same for as long as the key is kept, over restarts too.
+///
+/// A key has its own order of stamps, its own mark and its own receiver. So whoever has an old key cannot spoil the
+/// new one, and a new key starts anew.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum KeySlot {
+    /// The first.
+    A,
+    /// The second.
+    B,
+}
+
+impl KeySlot {
+    /// The other one.
+    #[must_use]
+    pub const fn other(self) -> Self {
+        match self {
+            Self::A => Self::B,
+            Self::B => Self::A,
+        }
+    }
+
+    /// What belongs to this one.
+    pub const fn of<T>(self, both: &[T; 2]) -> &T {
+        let [a, b] = both;
+        match self {
+            Self::A => a,
+            Self::B => b,
+        }
+    }
+
+    /// What belongs to this one, to be changed.
+    pub const fn of_mut<T>(self, both: &mut [T; 2]) -> &mut T {
+        let [a, b] = both;
+        match self {
+            Self::A => a,
+            Self::B => b,
+        }
+    }
+}
+
+/// Which key a frame was signed with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct KeyUse {
+    /// Where it is.
+    pub slot: KeySlot,
+    /// Whether another key is already in use in its place. Such a frame is accepted, and sets no clock.
+    pub former: bool,
+}
+
+impl KeyUse {
+    /// That of an end with one key.
+    pub const ONLY: Self = Self {
+        slot: KeySlot::A,
+        former: false,
+    };
+}
 
 /// How far a change of key has come at one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -153,8 +213,10 @@ impl<P: Profile> Authenticate for &SigningKey<P> {
 /// power fails. [`KeyRing::retire`] alone drops an old key, never a timeout. It does so only after a frame
 /// with the new key was accepted. Every step is stored before it has an effect.
 ///
-/// Stamps go on across the change, so one receiver serves both keys.
+/// Each key is in a [`KeySlot`] of its own, with its own order of stamps.
 pub struct KeyRing<P> {
+    /// Where the old one is.
+    base: KeySlot,
     /// The key that was in use before the change, or the only one.
     old: SigningKey<P>,
     /// The new one, unless `Settled`.
@@ -166,7 +228,16 @@ pub struct KeyRing<P> {
 
 impl<P: Profile> From<SigningKey<P>> for KeyRing<P> {
     fn from(key: SigningKey<P>) -> Self {
+        Self::in_slot(KeySlot::A, key)
+    }
+}
+
+impl<P: Profile> KeyRing<P> {
+    /// One key, in this slot.
+    #[must_use]
+    pub const fn in_slot(slot: KeySlot, key: SigningKey<P>) -> Self {
         Self {
+            base: slot,
             old: key,
             new: None,
             phase: RolloverState::Settled,
@@ -177,27 +248,34 @@ impl<P: Profile> From<SigningKey<P>> for KeyRing<P> {
 
 impl<P: Profile> Authenticate for KeyRing<P> {
     fn authenticate<'a>(&self, frame: FrameRef<'a>) -> Result<Authentic<'a>, VerifyError> {
-        let verdict = authenticate(frame, self.signing());
-        match (self.other(), &verdict) {
-            (Some(other), Err(VerifyError::BadTag)) => authenticate(frame, other),
-            _ => verdict,
-        }
+        let slot = self.signing_slot();
+        let other = || self.key(slot.other()).ok_or(VerifyError::BadTag);
+        let (slot, verdict) = match authenticate(frame, self.signing()) {
+            Err(VerifyError::BadTag) => (slot.other(), authenticate(frame, other()?)),
+            verdict => (slot, verdict),
+        };
+        let former = slot == self.base && self.signing_slot() != slot;
+        verdict.map(|frame| frame.with_key(KeyUse { slot, former }))
     }
 
     fn on_accepted(&mut self, frame: &Verified<'_>) {
         let unconfirmed = matches!(self.phase, RolloverState::Offered | RolloverState::Applied);
-        if let Some(new) = self.new.as_ref().filter(|_| unconfirmed && !self.heard) {
-            let frame = FrameRef::parse(frame.as_bytes());
-            self.heard = frame.is_ok_and(|frame| authenticate(frame, new).is_ok());
-        }
+        self.heard |= unconfirmed && frame.key().slot != self.base;
     }
 }
 
 impl<P: Profile> KeyRing<P> {
-    /// Two keys in the middle of a change, as they were stored. With [`RolloverState::Settled`], `new` is dropped.
+    /// Two keys in the middle of a change, as they were stored, the old one in the slot `base`. With
+    /// [`RolloverState::Settled`], `new` is dropped.
     #[must_use]
-    pub fn resume(old: SigningKey<P>, new: SigningKey<P>, phase: RolloverState) -> Self {
+    pub fn resume(
+        base: KeySlot,
+        old: SigningKey<P>,
+        new: SigningKey<P>,
+        phase: RolloverState,
+    ) -> Self {
         Self {
+            base,
             old,
             new: (phase != RolloverState::Settled).then_some(new),
             phase,
@@ -220,13 +298,33 @@ impl<P: Profile> KeyRing<P> {
         }
     }
 
-    /// The key that is also accepted.
-    fn other(&self) -> Option<&SigningKey<P>> {
+    /// Where the key to sign with is.
+    #[must_use]
+    pub const fn signing_slot(&self) -> KeySlot {
         match self.phase {
-            RolloverState::Settled => None,
-            RolloverState::Offered => self.new.as_ref(),
-            RolloverState::Applied | RolloverState::Confirmed => Some(&self.old),
+            RolloverState::Applied | RolloverState::Confirmed => self.base.other(),
+            RolloverState::Settled | RolloverState::Offered => self.base,
         }
+    }
+
+    /// The key in `slot`, if there is one.
+    #[must_use]
+    pub fn key(&self, slot: KeySlot) -> Option<&SigningKey<P>> {
+        if slot == self.base {
+            Some(&self.old)
+        } else {
+            self.new.as_ref()
+        }
+    }
+
+    /// Where `key` would go, if [`offer`](Self::offer) or [`apply`](Self::apply) began a change to it; `None` if they
+    /// would not. What was remembered of that slot is to be forgotten first: [`LinkClock::begin_key`].
+    ///
+    /// [`LinkClock::begin_key`]: crate::LinkClock::begin_key
+    #[must_use]
+    pub fn slot_for(&self, key: &SigningKey<P>) -> Option<KeySlot> {
+        let begins = self.phase == RolloverState::Settled && !same(key, &self.old);
+        begins.then_some(self.base.other())
     }
 
     /// Begins to change to `key`, before it is sent to the other end. A key that is already offered can be
@@ -240,7 +338,7 @@ impl<P: Profile> KeyRing<P> {
         key: &[u8; KEY_SIZE],
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
-        let new = SigningKey::new(key)?;
+        let new = Self::prepare(key)?;
         if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
             return Ok(());
         }
@@ -270,7 +368,7 @@ impl<P: Profile> KeyRing<P> {
         key: &[u8; KEY_SIZE],
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
-        let new = SigningKey::new(key)?;
+        let new = Self::prepare(key)?;
         if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
             // Otherwise two ends that were both told to offer it would wait for each other.
             if self.phase == RolloverState::Offered {
@@ -281,7 +379,7 @@ impl<P: Profile> KeyRing<P> {
         }
         if self.phase == RolloverState::Applied && !self.heard && same(&new, &self.old) {
             store.store(KeyChange::Withdraw)?;
-            *self = Self::from(new);
+            *self = Self::in_slot(self.base, new);
             return Ok(());
         }
         if self.phase != RolloverState::Settled {
@@ -324,7 +422,7 @@ impl<P: Profile> KeyRing<P> {
         }
         store.store(KeyChange::Retire)?;
         if let Some(new) = self.new.take() {
-            *self = Self::from(new);
+            *self = Self::in_slot(self.base.other(), new);
         }
         Ok(())
     }
@@ -345,6 +443,18 @@ impl<P: Profile> KeyRing<P> {
         self.new = None;
         self.phase = RolloverState::Settled;
         Ok(())
+    }
+
+    /// The key in `key`, if it is one to keep.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyError`], [`KeyError::Published`] among them.
+    pub fn prepare(key: &[u8; KEY_SIZE]) -> Result<SigningKey<P>, KeyError> {
+        if is_published(key) {
+            return Err(KeyError::Published);
+        }
+        SigningKey::new(key)
     }
 
     fn begin(&mut self, new: SigningKey<P>, phase: RolloverState) {

@@ -43,8 +43,10 @@ pub use error::{NotStored, ParseError, SignError, VerifyError};
 pub use field::KEY_SIZE;
 pub use frame::{Frame, FrameRef, Signature, Tag};
 pub use header::{Header, MessageId};
-pub use key::{Fingerprint, KeyError, SigningKey, passphrase_key};
-pub use key_ring::{Authenticate, KeyChange, KeyChangeError, KeyRing, KeyStore, RolloverState};
+pub use key::{Fingerprint, KeyError, SigningKey, is_published, passphrase_key};
+pub use key_ring::{
+    Authenticate, KeyChange, KeyChangeError, KeyRing, KeySlot, KeyStore, KeyUse, RolloverState,
+};
 pub use link_clock::LinkClock;
 pub use profile::{Hmac, Profile, Standard};
 pub use setup::{SETUP_SIGNING, SetupError, SetupSigning, redact_for_log, without_trailing_zeros};

@@ -2,6 +2,8 @@
 
 use crate::anti_replay::AntiReplay;
 use crate::error::{NotStored, SignError, VerifyError};
+use crate::key::Fingerprint;
+use crate::key_ring::KeySlot;
 use crate::time::{Stamp, Stamper, Timestamp};
 use crate::verify::{Authentic, Verified};
 
@@ -26,14 +28,38 @@ pub trait LinkClock {
         self.now()
     }
 
-    /// Makes sure that a high-water mark above `stamp` is stored, before `stamp` is used or accepted.
+    /// The first timestamp that may be used or accepted under the key in `slot`: a mark from before a restart.
+    fn floor(&self, slot: KeySlot) -> Timestamp {
+        let _ = slot;
+        Timestamp::ZERO
+    }
+
+    /// Makes sure that a high-water mark above `stamp` is stored for the key in `slot`, before `stamp` is used or
+    /// accepted under it.
     ///
     /// # Errors
     ///
     /// [`NotStored`]: `stamp` must not be used.
-    fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
-        let _ = stamp;
+    fn reserve(&mut self, slot: KeySlot, stamp: Timestamp) -> Result<(), NotStored> {
+        let _ = (slot, stamp);
         Ok(())
+    }
+
+    /// A new key comes into `slot`, and with it a new order of stamps: what was remembered of the slot is forgotten.
+    /// `initial` is the earliest timestamp to use with it, [`Timestamp::ZERO`] if nobody said. Returns the first
+    /// timestamp that may be used or accepted under it.
+    ///
+    /// # Errors
+    ///
+    /// [`NotStored`]: the key must not be used.
+    fn begin_key(
+        &mut self,
+        slot: KeySlot,
+        key: Fingerprint,
+        initial: Timestamp,
+    ) -> Result<Timestamp, NotStored> {
+        let _ = (slot, key);
+        Ok(initial)
     }
 
     /// Learns from a frame that was accepted.
@@ -47,16 +73,18 @@ pub trait LinkClock {
     ///
     /// [`SignError::TimestampsExhausted`], [`SignError::NotStored`]. No stamp has been used up then.
     fn stamp(&mut self, stamper: &mut Stamper) -> Result<Stamp, SignError> {
-        let now = self.now();
-        self.reserve(stamper.next(now)?.timestamp)?;
+        let now = self.now().max(self.floor(stamper.slot()));
+        self.reserve(stamper.slot(), stamper.next(now)?.timestamp)?;
         stamper.stamp(now)
     }
 
-    /// Accepts `frame` if `receiver` does, with a mark above its stamp stored first.
+    /// Accepts `frame` if `receiver` does, with a mark above its stamp stored first. A frame of a
+    /// [former](crate::KeyUse::former) key is compared with the time as it is, and sets no clock.
     ///
     /// # Errors
     ///
-    /// Those of [`AntiReplay::admit`], and [`VerifyError::NotStored`]. Nothing has changed then. A mark has
+    /// Those of [`AntiReplay::admit`], [`VerifyError::Replayed`] below the [`floor`](Self::floor), and
+    /// [`VerifyError::NotStored`]. Nothing has changed then. A mark has
     /// been stored only for a frame that would be accepted.
     fn admit<'a, R: AntiReplay>(
         &mut self,
@@ -64,11 +92,21 @@ pub trait LinkClock {
         frame: Authentic<'a>,
     ) -> Result<Verified<'a>, VerifyError> {
         let stamp = frame.stamp().timestamp;
-        let now = self.reference_time(stamp);
+        let key = frame.key();
+        let now = if key.former {
+            self.now()
+        } else {
+            self.reference_time(stamp)
+        };
         receiver.check(&frame, now)?;
-        self.reserve(stamp)?;
+        if stamp < self.floor(key.slot) {
+            return Err(VerifyError::Replayed);
+        }
+        self.reserve(key.slot, stamp)?;
         let verified = receiver.admit(frame, now)?;
-        self.on_accepted(&verified);
+        if !key.former {
+            self.on_accepted(&verified);
+        }
         Ok(verified)
     }
 }

@@ -1,5 +1,7 @@
 //! Replay protection for several senders on one link: one timestamp for each stream.
 
+use core::mem;
+
 use heapless::Vec;
 
 use crate::anti_replay::AntiReplay;
@@ -57,10 +59,13 @@ impl Links {
 /// What a receiver remembers of up to `N` streams. It is not copied: a copy would accept again what
 /// the original has accepted.
 ///
-/// Only an accepted frame takes a row, or one that this end [sent](StreamTable::record_sent). No row is
-/// given up: when all are taken, further streams are rejected. Only somebody with the key can fill the
-/// table. What this end sends takes half of it at most. Whatever ids the equipment has that it signs for,
-/// the other half is left to peers.
+/// Only an accepted frame takes a row. When all are taken, the stream with the oldest stamp is given up. From then on
+/// no stream is accepted up to that stamp, so replay protection stays exact, and nobody is kept out for good. The
+/// price: while more than `N` streams are in use, a sender whose clock is behind the others' may be rejected until it
+/// has come after the stream given up.
+///
+/// What this end sends takes no row: what comes back in the name of a system that this end has signed for, on a link
+/// that it has signed for, is rejected whatever its stamp. So a peer needs another system id or another link id.
 #[derive(Debug)]
 pub struct StreamTable<const N: usize> {
     links: Links,
@@ -68,16 +73,46 @@ pub struct StreamTable<const N: usize> {
     /// What is fresh in every stream, whatever its row says.
     first: Fresh,
     rows: Vec<Row, N>,
-    /// The links on which this end sent frames of streams that have no row.
-    closed: Option<Links>,
+    own: Own,
 }
 
 #[derive(Debug)]
 struct Row {
     stream: Stream,
     fresh: Fresh,
-    /// Whether it was taken for a frame that this end sent.
-    own: bool,
+}
+
+/// The systems that this end has signed for, and on which links.
+#[derive(Debug)]
+struct Own {
+    /// The links; `None` as long as nothing was sent. An end signs for one link, as a rule; if not, for any.
+    links: Option<Links>,
+    /// A bit for each system id.
+    systems: [u32; 8],
+}
+
+impl Own {
+    const NONE: Self = Self {
+        links: None,
+        systems: [0; 8],
+    };
+
+    fn add(&mut self, stream: Stream) {
+        self.links = match self.links {
+            None => Some(Links::Only(stream.link_id)),
+            Some(links) if links.take(stream.link_id) => Some(links),
+            Some(_) => Some(Links::Any),
+        };
+        if let Some(word) = self.systems.get_mut(usize::from(stream.system_id / 32)) {
+            *word |= 1 << (stream.system_id % 32);
+        }
+    }
+
+    fn has(&self, stream: Stream) -> bool {
+        let word = self.systems.get(usize::from(stream.system_id / 32));
+        let system = word.is_some_and(|word| word & (1 << (stream.system_id % 32)) != 0);
+        system && self.links.is_some_and(|links| links.take(stream.link_id))
+    }
 }
 
 impl<const N: usize> AntiReplay for StreamTable<N> {
@@ -95,6 +130,10 @@ impl<const N: usize> AntiReplay for StreamTable<N> {
 
     fn record_sent(&mut self, frame: FrameRef<'_>) {
         Self::record_sent(self, frame);
+    }
+
+    fn renewed(&self, first: Timestamp) -> Self {
+        Self::resume(self.links, self.window, first)
     }
 
     fn rejects_own(&self, _link_id: u8) -> bool {
@@ -118,7 +157,7 @@ impl<const N: usize> StreamTable<N> {
             window,
             first: Fresh::from(first),
             rows: Vec::new(),
-            closed: None,
+            own: Own::NONE,
         }
     }
 
@@ -134,27 +173,36 @@ impl<const N: usize> StreamTable<N> {
         self.window
     }
 
-    /// The links on which no new stream is accepted, since this end sent more streams than have a row. One
-    /// of them, reflected, would look like a peer's. `None` if there are none.
+    /// The first timestamp that is fresh in a new stream; `None` when all are used up. It starts at the mark that the
+    /// receiver was resumed at, and rises when a stream is given up.
     #[must_use]
-    pub const fn closed(&self) -> Option<Links> {
-        self.closed
+    pub const fn floor(&self) -> Option<Timestamp> {
+        self.first.first()
     }
 
-    /// Every stream of which a frame was accepted or sent, and its newest timestamp. Frames of the stream
-    /// up to it are rejected, and up to the mark that the receiver was resumed at.
+    /// Whether this end has signed for `system_id` on `link_id`: what comes in for both is rejected.
+    #[must_use]
+    pub fn is_own(&self, link_id: u8, system_id: u8) -> bool {
+        self.own.has(Stream {
+            link_id,
+            system_id,
+            component_id: 0,
+        })
+    }
+
+    /// Every stream that has a row, and its newest timestamp. Frames of the stream up to it are rejected, and what lies
+    /// below the [`floor`](Self::floor).
     pub fn rows(&self) -> impl Iterator<Item = (Stream, Option<Timestamp>)> {
         self.rows.iter().map(|row| (row.stream, row.fresh.used()))
     }
 
-    /// Accepts `frame` if its link is accepted, it lies in the window around `now`, and it is newer than
-    /// every accepted frame of its stream. Then remembers it.
+    /// Accepts `frame` if its link is accepted, it is not one of this end's own, it lies in the window around `now`, and
+    /// it is newer than every accepted frame of its stream. Then remembers it.
     ///
     /// # Errors
     ///
-    /// [`VerifyError::WrongLink`], [`VerifyError::FromFuture`], [`VerifyError::TooOld`],
-    /// [`VerifyError::Replayed`], [`VerifyError::StreamsFull`], looked for in this order. Nothing has
-    /// changed then.
+    /// [`VerifyError::WrongLink`], [`VerifyError::Reflected`], [`VerifyError::FromFuture`], [`VerifyError::TooOld`],
+    /// [`VerifyError::Replayed`], looked for in this order. Nothing has changed then.
     pub fn admit<'a>(
         &mut self,
         frame: Authentic<'a>,
@@ -163,15 +211,7 @@ impl<const N: usize> StreamTable<N> {
         self.check(&frame, now)?;
         let stamp = frame.stamp();
         let stream = Stream::new(frame.header(), stamp);
-        let fresh = Fresh::after(stamp.timestamp);
-        match self.row_mut(stream) {
-            Some(row) => row.fresh = fresh,
-            None => {
-                let own = false;
-                let pushed = self.rows.push(Row { stream, fresh, own });
-                pushed.map_err(|_| VerifyError::StreamsFull)?;
-            }
-        }
+        self.remember(stream, Fresh::after(stamp.timestamp));
         Ok(Verified::new(frame))
     }
 
@@ -185,86 +225,64 @@ impl<const N: usize> StreamTable<N> {
         if !self.links.take(stamp.link_id) {
             return Err(VerifyError::WrongLink(stamp.link_id));
         }
-        self.window.check(stamp.timestamp, now)?;
         let stream = Stream::new(frame.header(), stamp);
+        if self.own.has(stream) {
+            return Err(VerifyError::Reflected);
+        }
+        self.window.check(stamp.timestamp, now)?;
         let row = self.rows.iter().find(|row| row.stream == stream);
         let fresh = row.map_or(self.first, |row| row.fresh.max(self.first));
         if !fresh.contains(stamp.timestamp) {
             return Err(VerifyError::Replayed);
         }
-        let closed = self.closed.is_some_and(|it| it.take(stamp.link_id));
-        if row.is_none() && (closed || self.rows.is_full()) {
-            return Err(VerifyError::StreamsFull);
-        }
         Ok(())
     }
 
-    /// Remembers a frame that this end has signed and sends, so that its reflection is rejected. It is then
-    /// a replay, or a frame of a new stream if there was no row left for it.
-    ///
-    /// Frames sent take rows until half of the table is taken in this way. After that, no new stream is
-    /// accepted on the link that this end signs for.
+    /// Remembers a frame that this end has signed and sends, so that its reflection is rejected, whenever it comes.
     ///
     /// So a peer may sign for the link id that this end signs for. Ground stations do that take over the
-    /// link id they hear, such as pymavlink's with link id 0. An unsigned frame, and one of a link that is
-    /// not accepted, change nothing.
+    /// link id they hear, such as pymavlink's with link id 0. An unsigned frame changes nothing.
     pub fn record_sent(&mut self, frame: FrameRef<'_>) {
-        let Some(stamp) = frame.signature().map(|signature| signature.stamp) else {
-            return;
-        };
-        if !self.links.take(stamp.link_id) {
-            return;
-        }
-        let stream = Stream::new(frame.header(), stamp);
-        let fresh = Fresh::after(stamp.timestamp);
-        if let Some(row) = self.row_mut(stream) {
-            row.fresh = row.fresh.max(fresh);
-            return;
-        }
-        let own = true;
-        let left = self.rows.iter().filter(|row| row.own).count() < N / 2;
-        if !left || self.rows.push(Row { stream, fresh, own }).is_err() {
-            self.close(stamp.link_id);
+        if let Some(signature) = frame.signature() {
+            self.own.add(Stream::new(frame.header(), signature.stamp));
         }
     }
 
-    /// Accepts no new stream on `link_id` from now on.
-    fn close(&mut self, link_id: u8) {
-        self.closed = match self.closed {
-            None => Some(Links::Only(link_id)),
-            Some(closed) if closed.take(link_id) => Some(closed),
-            // An end signs for one link, as a rule. If not, none of them is safe.
-            Some(_) => Some(Links::Any),
+    /// Remembers that `stream` is fresh from `fresh` on. Of all streams, this one among them, the one with the oldest
+    /// stamp is given up if there is no room.
+    fn remember(&mut self, stream: Stream, fresh: Fresh) {
+        if let Some(row) = self.row_mut(stream) {
+            row.fresh = fresh;
+            return;
+        }
+        let Err(row) = self.rows.push(Row { stream, fresh }) else {
+            return;
         };
+        let mut given_up = row;
+        if let Some(oldest) = self.rows.iter_mut().min_by_key(|row| row.fresh)
+            && oldest.fresh < given_up.fresh
+        {
+            mem::swap(oldest, &mut given_up);
+        }
+        // What was accepted of it is not accepted again, whatever is known of it.
+        self.first = self.first.max(given_up.fresh);
     }
 
     fn row_mut(&mut self, stream: Stream) -> Option<&mut Row> {
         self.rows.iter_mut().find(|row| row.stream == stream)
     }
 
-    /// For proofs: with these rows, each with whether it is this end's own, and these links closed.
+    /// For proofs: with these rows, and with what was sent.
     #[cfg(kani)]
     #[must_use]
-    pub fn holding(mut self, rows: &[(Stream, Timestamp, bool)], closed: Option<Links>) -> Self {
-        for (stream, last, own) in rows {
-            let (stream, fresh, own) = (*stream, Fresh::after(*last), *own);
-            drop(self.rows.push(Row { stream, fresh, own }));
+    pub fn holding(mut self, rows: &[(Stream, Timestamp)], sent: Option<Stream>) -> Self {
+        for (stream, last) in rows {
+            let (stream, fresh) = (*stream, Fresh::after(*last));
+            drop(self.rows.push(Row { stream, fresh }));
         }
-        self.closed = closed;
+        if let Some(stream) = sent {
+            self.own.add(stream);
+        }
         self
-    }
-
-    /// For proofs: how many rows were taken for frames that this end sent.
-    #[cfg(kani)]
-    #[must_use]
-    pub fn own_rows(&self) -> usize {
-        self.rows.iter().filter(|row| row.own).count()
-    }
-
-    /// For proofs: the first timestamp that is fresh in every stream.
-    #[cfg(kani)]
-    #[must_use]
-    pub const fn floor(&self) -> Option<Timestamp> {
-        self.first.first()
     }
 }

@@ -2,6 +2,7 @@
 
 use crate::error::{SignError, VerifyError};
 use crate::field::TIMESTAMP_SIZE;
+use crate::key_ring::KeySlot;
 
 /// Ticks of 10 microseconds in a second.
 pub const TICKS_PER_SECOND: u64 = 100_000;
@@ -174,6 +175,7 @@ pub struct Stamp {
 #[derive(Debug, PartialEq, Eq)]
 pub struct Stamper {
     link_id: u8,
+    slot: KeySlot,
     fresh: Fresh,
 }
 
@@ -189,8 +191,22 @@ impl Stamper {
     pub const fn resume(link_id: u8, first: Timestamp) -> Self {
         Self {
             link_id,
+            slot: KeySlot::A,
             fresh: Fresh::from(first),
         }
+    }
+
+    /// The same stamps, for the key in this slot.
+    #[must_use]
+    pub const fn in_slot(mut self, slot: KeySlot) -> Self {
+        self.slot = slot;
+        self
+    }
+
+    /// Which key the stamps are for.
+    #[must_use]
+    pub const fn slot(&self) -> KeySlot {
+        self.slot
     }
 
     /// The link that the stamps are for.

@@ -7,6 +7,7 @@ use crate::error::VerifyError;
 use crate::frame::{Frame, FrameRef, Tag};
 use crate::header::Header;
 use crate::key::SigningKey;
+use crate::key_ring::KeyUse;
 use crate::profile::Profile;
 use crate::time::Stamp;
 
@@ -18,9 +19,20 @@ pub struct Authentic<'a> {
     frame: FrameRef<'a>,
     stamp: Stamp,
     crc_extra: u8,
+    key: KeyUse,
 }
 
 impl Authentic<'_> {
+    /// Which key it was signed with.
+    #[must_use]
+    pub const fn key(&self) -> KeyUse {
+        self.key
+    }
+
+    pub(crate) const fn with_key(self, key: KeyUse) -> Self {
+        Self { key, ..self }
+    }
+
     /// The header, as the sender made it.
     #[must_use]
     pub const fn header(&self) -> Header {
@@ -58,6 +70,12 @@ impl<'a> Verified<'a> {
     #[must_use]
     pub const fn stamp(&self) -> Stamp {
         self.0.stamp()
+    }
+
+    /// Which key it was signed with.
+    #[must_use]
+    pub const fn key(&self) -> KeyUse {
+        self.0.key()
     }
 
     /// The payload, 0 to 255 bytes, its trailing zeros cut by the sender.
@@ -116,6 +134,7 @@ pub fn authenticate<'a, P: Profile>(
         frame,
         stamp: signature.stamp,
         crc_extra,
+        key: KeyUse::ONLY,
     })
 }
 

@@ -77,16 +77,21 @@ fn id_of(bytes: &[u8]) -> MessageId {
     }
 }
 
-/// W3, in: whatever the decoder holds, it takes a byte if it said that it has room.
+/// W3, in: whatever the decoder holds, it takes a byte if it said that it has room. A deaf one drops and counts it.
 ///
 /// # Panics
 ///
 /// If the property does not hold.
 pub fn takes(decoder: &mut Decoder, byte: u8) {
-    let room = decoder.room();
+    let (room, dropped, deaf) = (decoder.room(), decoder.dropped(), decoder.is_deaf());
+    let (held, _) = decoder.begun();
     let taken = decoder.write(&[byte]);
     assert_eq!(taken, usize::from(room > 0));
-    assert_eq!(decoder.room(), room - taken);
+    assert_eq!(decoder.is_deaf(), deaf);
+    let (kept, lost) = if deaf { (0, taken) } else { (taken, 0) };
+    assert_eq!(decoder.begun().0, held + kept);
+    assert_eq!(decoder.room(), room - kept);
+    assert_eq!(decoder.dropped() as usize, dropped as usize + lost);
 }
 
 /// W3, out: whatever the decoder holds, what it completes parses. Every byte is then kept, in the
@@ -104,7 +109,7 @@ pub fn gives(
     decoder: &mut Decoder,
     crc_extra: impl FnOnce(MessageId) -> Option<u8>,
 ) -> Option<Result<usize, DecodeError>> {
-    let (room, dropped) = (decoder.room(), decoder.dropped());
+    let ((held, _), dropped) = (decoder.begun(), decoder.dropped());
     let found = decoder.read().map(|found| {
         found.map(|packet| {
             let bytes = packet.as_bytes();
@@ -118,7 +123,7 @@ pub fn gives(
         0
     };
     let dropped = (decoder.dropped() - dropped) as usize;
-    assert_eq!(decoder.room(), room + passed + dropped);
+    assert_eq!(decoder.begun().0 + passed + dropped, held);
     assert!(found.is_some() || decoder.room() > 0);
     found
 }
@@ -182,9 +187,14 @@ mod tests {
         let noise = b"noise".to_vec();
         for packet in [frame.as_bytes(), &MAVLINK1] {
             let stream = [&noise, packet].concat();
-            for resync in [Resync::NextByte, Resync::AnnouncedEnd] {
-                let found = decode(resync, &stream, &[]);
-                assert_eq!(found, [Ok(packet.to_vec())]);
+            let found = decode(Resync::NextByte, &stream, &[]);
+            assert_eq!(found, [Ok(packet.to_vec())]);
+            assert_eq!(
+                decode(Resync::Silence, &stream, &[]),
+                [],
+                "it may be a payload"
+            );
+            for resync in [Resync::NextByte, Resync::Silence] {
                 cut_does_not_matter(resync, &stream, &[1]);
             }
         }
@@ -239,14 +249,14 @@ mod tests {
             stream in stream(),
             cuts in proptest::collection::vec(1..400_usize, 1..6),
         ) {
-            for resync in [Resync::NextByte, Resync::AnnouncedEnd] {
+            for resync in [Resync::NextByte, Resync::Silence] {
                 cut_does_not_matter(resync, &stream, &cuts);
             }
         }
 
         #[test]
         fn w3_byte_by_byte(stream in stream(), next_byte: bool, silences: u8) {
-            let resync = if next_byte { Resync::NextByte } else { Resync::AnnouncedEnd };
+            let resync = if next_byte { Resync::NextByte } else { Resync::Silence };
             let mut decoder = Decoder::new(resync, crc_extra);
             for (at, byte) in stream.into_iter().enumerate() {
                 if at % (usize::from(silences) + 1) == 0 {
@@ -415,14 +425,14 @@ mod verification {
     fn w3_gives_behind_noise() {
         let (bytes, length): ([u8; MAX_FRAME_SIZE], usize) = kani::any();
         kani::assume(length <= 40);
-        let announced_end = kani::any();
-        let resync = if announced_end {
-            Resync::AnnouncedEnd
+        let silence = kani::any();
+        let resync = if silence {
+            Resync::Silence
         } else {
             Resync::NextByte
         };
         // After a silence with `NextByte` the decoder may try every byte.
-        let idle = announced_end && kani::any();
+        let idle = silence && kani::any();
         let found = gives_of(resync, idle, bytes, length);
         kani::cover!(found == Some(Ok(8)) && length == 40, "the shortest packet");
         kani::cover!(found.is_none() && idle, "nothing in a silence");

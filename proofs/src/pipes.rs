@@ -145,7 +145,7 @@ pub fn pipes<P: Profile>(
 
     let key = keys();
     let mut signer = Signer::new(Stamper::new(LINK_OUT));
-    let signed = in_sequence(Resync::AnnouncedEnd, local, |packet| {
+    let signed = in_sequence(Resync::Silence, local, |packet| {
         signer.sign(packet, &key, &mut { now })
     });
     let mut verifier = Verifier::new(replay(), forward);

@@ -4,17 +4,57 @@
 //! signs. They need no port, so that a shell with input and output of its own can use them alone.
 
 use mavlink_signing::{
-    AllowLink, AntiReplay, Authenticate, Frame, FrameRef, KeyRing, LinkClock, Packet, Profile,
-    RejectUnsigned, ReplayGuard, Resync, SETUP_SIGNING, SetupSigning, SigningKey, Stamper,
-    UnsignedPolicy, accept_unsigned, sign_frame,
+    AllowLink, AntiReplay, Authenticate, Frame, FrameRef, Header, KeyRing, KeySlot, LinkClock,
+    MessageId, Packet, Profile, RejectUnsigned, ReplayGuard, Resync, SETUP_SIGNING, SetupSigning,
+    Stamp, Stamper, Timestamp, UnsignedPolicy, Verified, VerifyError, Window, accept_unsigned,
+    authenticate, sign_frame,
 };
 
 use crate::event::{Direction, Event, RejectReason};
 
+/// HEARTBEAT, message 0.
+const HEARTBEAT: MessageId = MessageId::from_le_bytes([0, 0, 0]);
+
+/// In whose name this end signs: the system and component ids that packets of the local side may have.
+///
+/// Everybody who has the key believes what is signed here. So a vehicle must not sign as the station.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Senders {
+    /// Every component of one system: the one whose HEARTBEAT comes first. Until then nothing else is signed.
+    #[default]
+    FirstHeartbeat,
+    /// Every component of this system.
+    System(u8),
+    /// These alone: system and component id.
+    Listed(&'static [(u8, u8)]),
+    /// Everybody: where the local side is a network of stations, and all on it may command.
+    Any,
+}
+
+/// Whether somebody is at the device who may give it a key: a jumper, a button, or a mode of the firmware.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Presence {
+    /// Nobody. SETUP_SIGNING is taken only if it is signed with the key in use.
+    #[default]
+    Absent,
+    /// The device has just been switched on: until anything else comes in on the local side.
+    AtStart,
+    /// Somebody.
+    Shown,
+}
+
 /// Local to link: signs what is undamaged and unsigned.
 #[derive(Debug)]
 pub struct Signer {
-    stamper: Stamper,
+    /// For the key in each slot.
+    stampers: [Stamper; 2],
+    senders: Senders,
+    /// The system whose HEARTBEAT came first.
+    learnt: Option<u8>,
+    presence: Presence,
     setup: Option<Setup>,
 }
 
@@ -24,16 +64,69 @@ struct Setup {
     system_id: u8,
     component_id: u8,
     came: Option<SetupSigning>,
+    /// The stamp of the last that was signed.
+    last: Option<Timestamp>,
+}
+
+impl Setup {
+    /// A SETUP_SIGNING that is signed with the key in use, later than any before.
+    fn signed<'a, P: Profile>(
+        &mut self,
+        frame: FrameRef<'a>,
+        keys: &KeyRing<P>,
+        time: &impl LinkClock,
+    ) -> Result<Verified<'a>, VerifyError> {
+        let authentic = authenticate(frame, keys.signing())?;
+        let Stamp { link_id, timestamp } = authentic.stamp();
+        let floor = time.floor(keys.signing_slot());
+        if timestamp < floor || self.last.is_some_and(|last| timestamp <= last) {
+            return Err(VerifyError::Replayed);
+        }
+        let window = Window { past: 0, ahead: 0 };
+        let verified = ReplayGuard::new(link_id, window).admit(authentic, timestamp)?;
+        self.last = Some(timestamp);
+        Ok(verified)
+    }
 }
 
 impl Signer {
-    /// Signs with the stamps of `stamper`.
+    /// Signs with the stamps of `stamper`, in the name of the system that is [heard
+    /// first](Senders::FirstHeartbeat).
     #[must_use]
     pub const fn new(stamper: Stamper) -> Self {
+        let other = Stamper::new(stamper.link_id()).in_slot(stamper.slot().other());
         Self {
-            stamper,
+            stampers: match stamper.slot() {
+                KeySlot::A => [stamper, other],
+                KeySlot::B => [other, stamper],
+            },
+            senders: Senders::FirstHeartbeat,
+            learnt: None,
+            presence: Presence::Absent,
             setup: None,
         }
+    }
+
+    /// The same, in the name of `senders`.
+    #[must_use]
+    pub const fn for_senders(mut self, senders: Senders) -> Self {
+        self.senders = senders;
+        self
+    }
+
+    pub(crate) const fn link_id(&self) -> u8 {
+        let [stamper, _] = &self.stampers;
+        stamper.link_id()
+    }
+
+    pub(crate) const fn set_presence(&mut self, presence: Presence) {
+        self.presence = presence;
+    }
+
+    /// A new key is in `slot`: its stamps begin with `first`.
+    pub(crate) fn begin_key(&mut self, slot: KeySlot, first: Timestamp) {
+        let stamper = Stamper::resume(self.link_id(), first).in_slot(slot);
+        *slot.of_mut(&mut self.stampers) = stamper;
     }
 
     pub(crate) fn keep_setup(&mut self, system_id: u8, component_id: u8) {
@@ -41,6 +134,7 @@ impl Signer {
             system_id,
             component_id,
             came: None,
+            last: None,
         });
     }
 
@@ -48,25 +142,56 @@ impl Signer {
         self.setup.as_mut()?.came.take()
     }
 
-    /// Keeps what `packet` says if it is a SETUP_SIGNING for this end. It came in on the local side, a
-    /// cable, where nobody has a signature.
-    fn look_for_setup(&mut self, packet: Packet<'_>) {
-        let (Some(setup), Packet::Mavlink2(frame)) = (&mut self.setup, packet) else {
-            return;
+    /// Keeps what `frame`, a SETUP_SIGNING, says if it is for this end, and either presence is shown or it is signed
+    /// with the key in use, later than any before. Returns why it goes no further.
+    fn take_in_setup<P: Profile>(
+        &mut self,
+        frame: FrameRef<'_>,
+        keys: &KeyRing<P>,
+        time: &impl LinkClock,
+    ) -> RejectReason {
+        let link_id = self.link_id();
+        let Some(setup) = &mut self.setup else {
+            return RejectReason::SetupSigning;
         };
-        if frame.header().message_id != SETUP_SIGNING {
-            return;
-        }
-        let link_id = self.stamper.link_id();
-        let Ok(accepted) = accept_unsigned(frame, link_id, &AllowLink { link_id }) else {
-            return;
+        let unsigned = accept_unsigned(frame, link_id, &AllowLink { link_id });
+        let (came, allowed) = match &unsigned {
+            Ok(unsigned) => {
+                let present = self.presence != Presence::Absent;
+                (SetupSigning::from_payload(unsigned.payload()), present)
+            }
+            Err(VerifyError::Signed) => match setup.signed(frame, keys, time) {
+                Ok(verified) => (SetupSigning::from_payload(verified.payload()), true),
+                Err(error) => return error.into(),
+            },
+            Err(error) => return (*error).into(),
         };
-        let came = SetupSigning::from_payload(accepted.payload());
         let ours = |came: &SetupSigning| {
             came.target_system == setup.system_id && came.target_component == setup.component_id
         };
-        if let Some(came) = came.ok().filter(ours) {
-            setup.came = Some(came);
+        match came.ok().filter(ours) {
+            Some(_) if !allowed => return RejectReason::NoPresence,
+            Some(ours) => setup.came = Some(ours),
+            None => {}
+        }
+        RejectReason::SetupSigning
+    }
+
+    /// Whether `header` names one of the local side's own.
+    fn knows(&mut self, header: Header) -> bool {
+        let sender = (header.system_id, header.component_id);
+        match self.senders {
+            Senders::Any => true,
+            Senders::System(system_id) => sender.0 == system_id,
+            Senders::Listed(all) => all.contains(&sender),
+            Senders::FirstHeartbeat => match self.learnt {
+                Some(system_id) => sender.0 == system_id,
+                None => {
+                    let heard = header.message_id == HEARTBEAT;
+                    self.learnt = heard.then_some(sender.0);
+                    heard
+                }
+            },
         }
     }
 
@@ -78,17 +203,33 @@ impl Signer {
     pub fn sign<P: Profile>(
         &mut self,
         packet: Packet<'_>,
-        key: &SigningKey<P>,
+        keys: &KeyRing<P>,
         time: &mut impl LinkClock,
     ) -> Result<Frame, RejectReason> {
-        self.look_for_setup(packet);
+        if let Packet::Mavlink2(frame) = packet
+            && frame.header().message_id == SETUP_SIGNING
+        {
+            return Err(self.take_in_setup(frame, keys, time));
+        }
+        self.other_traffic();
         let frame = passable(packet)?;
         if frame.is_signed() {
             return Err(RejectReason::AlreadySigned);
         }
+        if !self.knows(frame.header()) {
+            return Err(RejectReason::ForeignSender);
+        }
         let mut frame = Frame::try_from(frame)?;
-        sign_frame(&mut frame, key, time.stamp(&mut self.stamper)?)?;
+        let stamper = keys.signing_slot().of_mut(&mut self.stampers);
+        sign_frame(&mut frame, keys.signing(), time.stamp(stamper)?)?;
         Ok(frame)
+    }
+
+    /// Something else than SETUP_SIGNING has come in.
+    fn other_traffic(&mut self) {
+        if self.presence == Presence::AtStart {
+            self.presence = Presence::Absent;
+        }
     }
 }
 
@@ -106,18 +247,24 @@ pub enum ForwardMode {
 /// Link to local: lets verified frames through, and unsigned ones if a policy accepts them.
 #[derive(Debug)]
 pub struct Verifier<R = ReplayGuard, U = RejectUnsigned> {
-    receiver: R,
+    /// For the key in each slot.
+    receivers: [R; 2],
     forward: ForwardMode,
     link_id: u8,
     unsigned: U,
 }
 
 impl<R: AntiReplay> Verifier<R> {
-    /// Admits what `receiver` admits and hands it on as `forward` says; nothing that is unsigned.
+    /// Admits what `receiver` admits and hands it on as `forward` says; nothing that is unsigned. `receiver` is for the
+    /// key in `slot`, a new one like it for another.
     #[must_use]
-    pub const fn new(receiver: R, forward: ForwardMode) -> Self {
+    pub fn new(slot: KeySlot, receiver: R, forward: ForwardMode) -> Self {
+        let other = receiver.renewed(Timestamp::ZERO);
         Self {
-            receiver,
+            receivers: match slot {
+                KeySlot::A => [receiver, other],
+                KeySlot::B => [other, receiver],
+            },
             forward,
             link_id: 0,
             unsigned: RejectUnsigned,
@@ -129,7 +276,7 @@ impl<R: AntiReplay> Verifier<R> {
     #[must_use]
     pub fn accepting<U: UnsignedPolicy>(self, link_id: u8, policy: U) -> Verifier<R, U> {
         Verifier {
-            receiver: self.receiver,
+            receivers: self.receivers,
             forward: self.forward,
             link_id,
             unsigned: policy,
@@ -147,9 +294,16 @@ pub enum Forwarded {
 }
 
 impl<R: AntiReplay, U: UnsignedPolicy> Verifier<R, U> {
-    /// Tells the receiver of a frame that was signed here, before it is sent: see [`AntiReplay::record_sent`].
-    pub fn record_sent(&mut self, frame: FrameRef<'_>) {
-        self.receiver.record_sent(frame);
+    /// Tells the receiver of a frame that was signed here with the key in `slot`, before it is sent: see
+    /// [`AntiReplay::record_sent`].
+    pub fn record_sent(&mut self, slot: KeySlot, frame: FrameRef<'_>) {
+        slot.of_mut(&mut self.receivers).record_sent(frame);
+    }
+
+    /// A new key is in `slot`: nothing was accepted with it yet, and nothing is that was stamped before `first`.
+    pub(crate) fn begin_key(&mut self, slot: KeySlot, first: Timestamp) {
+        let receiver = slot.of_mut(&mut self.receivers);
+        *receiver = receiver.renewed(first);
     }
 
     /// The frame to hand on for `packet`.
@@ -168,7 +322,9 @@ impl<R: AntiReplay, U: UnsignedPolicy> Verifier<R, U> {
             let accepted = accept_unsigned(frame, self.link_id, &self.unsigned)?;
             return Ok(Forwarded::Unsigned(accepted.to_frame()));
         }
-        let verified = time.admit(&mut self.receiver, keys.authenticate(frame)?)?;
+        let authentic = keys.authenticate(frame)?;
+        let receiver = authentic.key().slot.of_mut(&mut self.receivers);
+        let verified = time.admit(receiver, authentic)?;
         keys.on_accepted(&verified);
         Ok(Forwarded::Verified(match self.forward {
             ForwardMode::StripSignature => verified.to_unsigned(),
@@ -203,11 +359,14 @@ pub(crate) trait PacketHandler {
         keys: &mut KeyRing<P>,
         time: &mut impl LinkClock,
     ) -> Result<(Frame, Event), RejectReason>;
+
+    /// Something came that is no packet.
+    fn no_packet(&mut self) {}
 }
 
 impl PacketHandler for Signer {
     const DIRECTION: Direction = Direction::Outbound;
-    const RESYNC: Resync = Resync::AnnouncedEnd;
+    const RESYNC: Resync = Resync::Silence;
 
     fn process<P: Profile>(
         &mut self,
@@ -215,8 +374,12 @@ impl PacketHandler for Signer {
         keys: &mut KeyRing<P>,
         time: &mut impl LinkClock,
     ) -> Result<(Frame, Event), RejectReason> {
-        let frame = self.sign(packet, keys.signing(), time)?;
+        let frame = self.sign(packet, keys, time)?;
         Ok((frame, Event::Passed(Self::DIRECTION)))
+    }
+
+    fn no_packet(&mut self) {
+        self.other_traffic();
     }
 }
 

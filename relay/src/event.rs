@@ -24,6 +24,12 @@ pub enum RejectReason {
     /// SETUP_SIGNING: it carries a key.
     #[strum(serialize = "SETUP_SIGNING")]
     SetupSigning,
+    /// SETUP_SIGNING for this end, but nobody has shown presence, and it is not signed with the key in use.
+    #[strum(serialize = "no presence")]
+    NoPresence,
+    /// To be signed, but in the name of a system or component that is none of the local side's.
+    #[strum(serialize = "foreign sender")]
+    ForeignSender,
     /// Unknown incompatibility flags.
     #[strum(serialize = "unknown flags")]
     UnknownIncompatFlags,
@@ -58,9 +64,9 @@ pub enum RejectReason {
     /// Authentic, but not newer than the last accepted frame.
     #[strum(serialize = "replayed")]
     Replayed,
-    /// Authentic, but of a new stream, for which the receiver has no row left.
-    #[strum(serialize = "streams full")]
-    StreamsFull,
+    /// Authentic, but sent by this end itself.
+    #[strum(serialize = "reflected")]
+    Reflected,
     /// To be signed, or authentic and in order, but no mark above its stamp can be stored.
     #[strum(serialize = "not stored")]
     NotStored,
@@ -119,7 +125,7 @@ impl From<VerifyError> for RejectReason {
             VerifyError::FromFuture => Self::FromFuture,
             VerifyError::TooOld => Self::TooOld,
             VerifyError::Replayed => Self::Replayed,
-            VerifyError::StreamsFull => Self::StreamsFull,
+            VerifyError::Reflected => Self::Reflected,
             VerifyError::NotStored => Self::NotStored,
             VerifyError::Signed => Self::AlreadySigned,
             _ => Self::Other,

@@ -22,18 +22,18 @@ mod direction;
 mod endpoint;
 mod event;
 mod key_store;
+mod link_memory;
 mod persistent_clock;
 mod pump;
 mod reader;
 mod relay;
 pub mod sealed;
 
-pub use direction::{ForwardMode, Forwarded, Signer, Verifier};
+pub use direction::{ForwardMode, Forwarded, Presence, Senders, Signer, Verifier};
 pub use endpoint::{Endpoint, LineEvent, Side};
 pub use event::{Counters, Direction, Event, RejectReason, RejectedPacket};
 pub use key_store::{FlashKeyStore, KEYS_SIZE};
-pub use persistent_clock::{
-    FIRST_RESERVATION, PersistentClock, PersistentClockError, TimeBehindMark,
-};
-pub use reader::IDLE;
+pub use link_memory::{FirstKey, LinkFlash, LinkMemory, LinkMemoryError};
+pub use persistent_clock::{FIRST_RESERVATION, PersistentClock, TimeError};
+pub use reader::{IDLE, LINE_RATE};
 pub use relay::{Relay, SameLinkId};

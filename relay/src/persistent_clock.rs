@@ -1,86 +1,50 @@
 //! The time and the memory of one end of a link: a clock, and a mark in flash.
 
-use core::fmt;
+use core::{fmt, mem};
 
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
-    Clock, LinkClock, NotStored, RESERVATION, Stamper, SyncState, TICKS_PER_SECOND, TimeSource,
-    Timestamp, Verified, Window,
+    Clock, Fingerprint, KeyRing, KeySlot, LinkClock, NotStored, Profile, RESERVATION, SyncState,
+    TICKS_PER_SECOND, TimeSource, Timestamp, Verified, Window,
 };
-use mavseal_store::{HighWaterMark, OpenError, Region};
+use mavseal_store::{Binding, HighWaterMark, MarkError, ProvisionError, Region};
 
 /// How far beyond the timestamps in use the first mark after a restart is stored: 10 milliseconds, in ticks
 /// of 10 microseconds. No end starts again as fast.
 pub const FIRST_RESERVATION: u64 = TICKS_PER_SECOND / 100;
 
-/// Why an end of a link cannot start.
+/// What the records of a mark of timestamps are.
+const KIND: u8 = 1;
+
+/// Why a time that was told is not believed. The source is at fault. The clock is as it was.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
-pub enum PersistentClockError {
-    /// The flash cannot hold a mark.
-    Open(OpenError),
-    /// The mark is behind the last 48-bit timestamp: only a new key helps, and to erase the mark with the
-    /// old one.
-    Exhausted,
+pub enum TimeError {
+    /// It has passed: this end has used or accepted timestamps more than the [`RESERVATION`] and the window of
+    /// [`Window::ONE_MINUTE`] behind which it lies. A real-time clock without a battery tells such times. Or a wrong
+    /// source was believed before.
+    BehindMark,
+    /// It lies beyond the [ceiling](Clock::CEILING).
+    BeyondCeiling,
 }
 
-impl From<OpenError> for PersistentClockError {
-    fn from(error: OpenError) -> Self {
-        Self::Open(error)
-    }
-}
-
-impl fmt::Display for PersistentClockError {
+impl fmt::Display for TimeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Open(error) => error.fmt(f),
-            Self::Exhausted => f.write_str("all timestamps are used up"),
-        }
+        f.write_str(match self {
+            Self::BehindMark => "the time told has passed: later timestamps have been used",
+            Self::BeyondCeiling => "the time told is too far ahead to be right",
+        })
     }
 }
 
-/// A trusted source told a time that has passed: this end has used or accepted timestamps more than the
-/// [`RESERVATION`] and the window of [`Window::ONE_MINUTE`] behind which it lies. Either the source is wrong, such as a
-/// real-time clock without a battery, or a wrong one was believed before.
-///
-/// The clock is as it was.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct TimeBehindMark;
+impl core::error::Error for TimeError {}
 
-impl fmt::Display for TimeBehindMark {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the time told has passed: later timestamps have been used")
-    }
-}
-
-impl core::error::Error for TimeBehindMark {}
-
-impl core::error::Error for PersistentClockError {
-    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
-        match self {
-            Self::Open(error) => Some(error),
-            Self::Exhausted => None,
-        }
-    }
-}
-
-/// A [`Clock`] on a timer, and a [`HighWaterMark`] above every timestamp that this end has used or accepted.
+/// A [`Clock`] on a timer, and for each key a [`HighWaterMark`] above every timestamp that this end has used or
+/// accepted under it. [`LinkMemory`](crate::LinkMemory) opens it together with the keys.
 ///
-/// After a restart, stamps begin at the mark, and no frame from before it is accepted, of no stream:
-///
-/// ```
-/// use mavlink_signing::{ReplayGuard, Window};
-/// use mavseal_relay::PersistentClock;
-/// use mavseal_store::{Region, model::Flash};
-///
-/// let region = Region { start: 0, page_size: 2048 };
-/// let kept = PersistentClock::new(Flash::<2>::default(), region, || 0)?;
-/// let stamper = kept.stamper(1);
-/// let receiver = ReplayGuard::resume(2, Window::ONE_MINUTE, kept.floor());
-/// # Ok::<(), mavseal_relay::PersistentClockError>(())
-/// ```
+/// After a restart, stamps begin at the mark, and no frame from before it is accepted, of no stream. Stamper and
+/// receiver need not know of it: [`LinkClock::floor`].
 ///
 /// A mark is stored ahead of what is used by an eighth of the time since the restart, at least
 /// [`FIRST_RESERVATION`] and at most [`RESERVATION`]. So stamps of an end whose power fails again and again
@@ -93,34 +57,120 @@ impl core::error::Error for PersistentClockError {
 /// The price: after a restart, frames of an honest peer are rejected for at most the reservation, and by as
 /// much longer as the latest timestamp that this end has used or accepted was ahead of the peer's clock; a peer
 /// without a clock is up to a reservation behind.
+///
+/// A new key has a mark of its own, which begins with it: [`LinkClock::begin_key`]. Whoever has an old key cannot
+/// spoil it.
 pub struct PersistentClock<F, T> {
     clock: Clock,
-    mark: HighWaterMark<F>,
+    marks: [KeyMark<F>; 2],
+    /// Where the newest key is.
+    newest: KeySlot,
+    region: Region,
     timer: T,
     started: u64,
-    floor: Timestamp,
+}
+
+/// The mark of the key in one slot.
+enum KeyMark<F> {
+    /// There is no key in the slot.
+    Unused(F),
+    /// Its mark, and what it was at the start, or the first timestamp of a new key.
+    Of(HighWaterMark<F>, Timestamp),
+    /// The flash failed when a new key was to be remembered.
+    Failed,
+}
+
+impl<F: NorFlash> KeyMark<F> {
+    const fn floor(&self) -> Timestamp {
+        match self {
+            Self::Of(_, floor) => *floor,
+            _ => Timestamp::MAX,
+        }
+    }
+
+    /// Above everything used or accepted.
+    fn stored(&self) -> u64 {
+        match self {
+            Self::Of(mark, _) => mark.get(),
+            _ => 0,
+        }
+    }
+}
+
+fn binding(key: Fingerprint) -> Binding {
+    Binding::new(KIND, key.0)
 }
 
 impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
-    /// The end whose mark is in `region` of `flash`, with a clock that nobody has told the time yet. `timer` gives
-    /// ticks of 10 microseconds that never go back.
+    /// The marks of `keys` in `flashes`, one for the key in each slot, with a clock that nobody has told the time yet.
+    /// `timer` gives ticks of 10 microseconds that never go back.
     ///
     /// # Errors
     ///
-    /// [`PersistentClockError`].
-    pub fn new(flash: F, region: Region, mut timer: T) -> Result<Self, PersistentClockError> {
-        let mark = HighWaterMark::open(flash, region)?;
-        let floor = Timestamp::from_ticks(mark.get()).ok_or(PersistentClockError::Exhausted)?;
-        let earliest = mark.get().saturating_sub(RESERVATION);
-        let earliest = Timestamp::from_ticks(earliest).unwrap_or(floor);
+    /// [`MarkError`]: a mark was lost, or belongs to another key. Nothing may be signed or accepted then.
+    pub fn open<P: Profile>(
+        flashes: [F; 2],
+        region: Region,
+        keys: &KeyRing<P>,
+        timer: T,
+    ) -> Result<Self, MarkError> {
+        let mark = |flash, slot| -> Result<_, MarkError> {
+            match keys.key(slot) {
+                None => Ok(KeyMark::Unused(flash)),
+                Some(key) => {
+                    let mark = HighWaterMark::open(flash, region, binding(key.fingerprint()))?;
+                    let floor = Timestamp::from_ticks(mark.get()).unwrap_or(Timestamp::MAX);
+                    Ok(KeyMark::Of(mark, floor))
+                }
+            }
+        };
+        let [a, b] = flashes;
+        let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
+        Ok(Self::with(marks, region, keys.signing_slot(), timer))
+    }
+
+    /// The same for a first key, with which nothing was ever signed or accepted: whatever `flashes` hold is forgotten.
+    ///
+    /// # Errors
+    ///
+    /// [`ProvisionError`].
+    pub fn provision<P: Profile>(
+        flashes: [F; 2],
+        region: Region,
+        keys: &KeyRing<P>,
+        timer: T,
+    ) -> Result<Self, ProvisionError> {
+        let mark = |flash, slot| -> Result<_, ProvisionError> {
+            match keys.key(slot) {
+                None => Ok(KeyMark::Unused(flash)),
+                Some(key) => {
+                    let mark =
+                        HighWaterMark::provision(flash, region, binding(key.fingerprint()), 0)?;
+                    Ok(KeyMark::Of(mark, Timestamp::ZERO))
+                }
+            }
+        };
+        let [a, b] = flashes;
+        let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
+        Ok(Self::with(marks, region, keys.signing_slot(), timer))
+    }
+
+    fn with(marks: [KeyMark<F>; 2], region: Region, newest: KeySlot, mut timer: T) -> Self {
+        let earliest = newest
+            .of(&marks)
+            .floor()
+            .ticks()
+            .saturating_sub(RESERVATION);
+        let earliest = Timestamp::from_ticks(earliest).unwrap_or(Timestamp::ZERO);
         let started = timer();
-        Ok(Self {
+        Self {
             clock: Clock::unsynced(earliest, started),
-            mark,
+            marks,
+            newest,
+            region,
             timer,
             started,
-            floor,
-        })
+        }
     }
 
     /// The same on a timer that is not a crystal's: see [`Clock::drifting`].
@@ -130,16 +180,11 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         self
     }
 
-    /// The mark at the start: no stamp before it may be given, or accepted.
+    /// The same, with another ceiling than [`Clock::CEILING`].
     #[must_use]
-    pub const fn floor(&self) -> Timestamp {
-        self.floor
-    }
-
-    /// Stamps for `link_id`, none before [`PersistentClock::floor`]. One for each link id in a run of the program.
-    #[must_use]
-    pub const fn stamper(&self, link_id: u8) -> Stamper {
-        Stamper::resume(link_id, self.floor)
+    pub fn until(mut self, ceiling: Timestamp) -> Self {
+        self.clock = self.clock.until(ceiling);
+        self
     }
 
     /// Takes `time` from `source`: [`Clock::update`]. Ask a trusted one again before [`Clock::holdover`] is over;
@@ -147,14 +192,17 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
     ///
     /// # Errors
     ///
-    /// [`TimeBehindMark`]. Believed, such a source would make this end reject every honest frame.
-    pub fn update(&mut self, source: TimeSource, time: Timestamp) -> Result<u64, TimeBehindMark> {
+    /// [`TimeError`]. Believed, such a source would make this end reject every honest frame, or be rejected.
+    pub fn update(&mut self, source: TimeSource, time: Timestamp) -> Result<u64, TimeError> {
         let latest = time.saturating_add(RESERVATION + Window::ONE_MINUTE.ahead);
         let tells = source == TimeSource::Trusted && time != Timestamp::ZERO;
-        if tells && latest.ticks() < self.mark.get() {
-            return Err(TimeBehindMark);
+        if tells && latest.ticks() < self.newest.of(&self.marks).stored() {
+            return Err(TimeError::BehindMark);
         }
         let now = (self.timer)();
+        if tells && time > self.clock.ceiling() {
+            return Err(TimeError::BeyondCeiling);
+        }
         Ok(self.clock.update(source, time, now))
     }
 
@@ -164,9 +212,23 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         self.clock.sync(now)
     }
 
-    /// The flash, for what else it holds.
-    pub fn into_flash(self) -> F {
-        self.mark.into_flash()
+    /// How often each page of the marks has been erased: a flash of 10,000 erases should be replaced before.
+    #[must_use]
+    pub fn erases(&self) -> u32 {
+        let erases = self.marks.iter().map(|mark| match mark {
+            KeyMark::Of(mark, _) => mark.erases(),
+            _ => 0,
+        });
+        erases.max().unwrap_or(0)
+    }
+
+    /// The flashes of both slots; `None` for one that failed.
+    pub fn into_flashes(self) -> [Option<F>; 2] {
+        self.marks.map(|mark| match mark {
+            KeyMark::Unused(flash) => Some(flash),
+            KeyMark::Of(mark, _) => Some(mark.into_flash()),
+            KeyMark::Failed => None,
+        })
     }
 }
 
@@ -185,18 +247,53 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         self.clock.reference_time(stamp, now)
     }
 
-    /// Also rejects what lies before [`PersistentClock::floor`], which a stamper or a receiver would let through that was
-    /// not made with it.
-    fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
-        if stamp < self.floor {
-            return Err(NotStored);
-        }
+    fn floor(&self, slot: KeySlot) -> Timestamp {
+        slot.of(&self.marks).floor()
+    }
+
+    /// Also rejects what lies before the floor, and a slot without key.
+    fn reserve(&mut self, slot: KeySlot, stamp: Timestamp) -> Result<(), NotStored> {
         let running = (self.timer)().saturating_sub(self.started);
         let ahead = (running / 8).clamp(FIRST_RESERVATION, RESERVATION);
         // A mark behind the last timestamp would end the key before its time.
         let ahead = ahead.min(Timestamp::MAX.ticks_since(stamp));
-        let reserved = self.mark.reserve(stamp.ticks(), ahead);
-        reserved.map_err(|_| NotStored)
+        match slot.of_mut(&mut self.marks) {
+            KeyMark::Of(mark, floor) if stamp >= *floor => {
+                let reserved = mark.reserve(stamp.ticks(), ahead);
+                reserved.map_err(|_| NotStored)
+            }
+            _ => Err(NotStored),
+        }
+    }
+
+    /// Where nobody said what time it is, or it cannot be right, the new key goes on where the one in use is: it may
+    /// have been in use before.
+    fn begin_key(
+        &mut self,
+        slot: KeySlot,
+        key: Fingerprint,
+        initial: Timestamp,
+    ) -> Result<Timestamp, NotStored> {
+        let timer = (self.timer)();
+        let used = self.marks.iter().map(KeyMark::stored).max().unwrap_or(0);
+        let synced = self.clock.sync(timer) == SyncState::Synced;
+        let first = match (self.clock.is_plausible(initial), synced) {
+            (true, true) => initial.min(self.clock.now(timer)),
+            (true, false) => initial,
+            (false, true) => self.clock.now(timer),
+            (false, false) => Timestamp::from_ticks(used).unwrap_or(Timestamp::MAX),
+        };
+        let mark = slot.of_mut(&mut self.marks);
+        let flash = match mem::replace(mark, KeyMark::Failed) {
+            KeyMark::Unused(flash) => flash,
+            KeyMark::Of(mark, _) => mark.into_flash(),
+            KeyMark::Failed => return Err(NotStored),
+        };
+        let begun = HighWaterMark::provision(flash, self.region, binding(key), first.ticks());
+        *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first);
+        self.newest = slot;
+        self.clock.begin(initial, timer);
+        Ok(first)
     }
 
     fn on_accepted(&mut self, frame: &Verified<'_>) {
@@ -209,7 +306,6 @@ impl<F, T> fmt::Debug for PersistentClock<F, T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("PersistentClock")
             .field("clock", &self.clock)
-            .field("floor", &self.floor)
             .finish_non_exhaustive()
     }
 }

@@ -54,13 +54,18 @@ impl Lane {
         dropped
     }
 
-    /// When the line that is read will have been silent for long. While a frame waits to go out, the
-    /// sender on that line may be held back, and that is no silence.
-    pub(crate) fn idle_at(&self) -> Option<u64> {
+    /// When time changes something for the line that is read. While a frame waits to go out, what has come in waits
+    /// too, and time stands still for it.
+    pub(crate) fn due_at(&self) -> Option<u64> {
         if self.sending.is_some() {
             return None;
         }
-        self.reader.idle_at()
+        self.reader.due_at()
+    }
+
+    /// Does what is due at `now`; whether there was something.
+    pub(crate) fn poll(&mut self, now: u64) -> bool {
+        self.sending.is_none() && self.reader.poll(now)
     }
 }
 
@@ -110,7 +115,10 @@ impl<T: PacketHandler> Pump<T> {
         let Self { lane, handler } = self;
         let processed = match lane.reader.read() {
             None => Ok(None),
-            Some(Err(error)) => Err((error.into(), None)),
+            Some(Err(error)) => {
+                handler.no_packet();
+                Err((error.into(), None))
+            }
             Some(Ok(packet)) => match handler.process(packet, keys, clock) {
                 // Straight to its place: a frame takes 280 bytes of stack.
                 Ok((frame, event)) => {

@@ -1,128 +1,167 @@
 //! Packets out of the bytes of a line: what both kinds of endpoint do with what comes in.
 
-use mavlink_signing::{DecodeError, Decoder, Packet, Resync, TICKS_PER_SECOND, dialect};
+use heapless::Deque;
+use mavlink_signing::{
+    DecodeError, Decoder, Packet, Resync, TICKS_PER_SECOND, dialect, field::MAX_FRAME_SIZE,
+};
 
-/// Silence on a line after which a packet that has begun is given up, unless
-/// [said otherwise](crate::Relay::idle): 100 milliseconds, in ticks of 10 microseconds.
+/// How long a sender may pause within a packet, unless [said otherwise](crate::Relay::idle): 100 milliseconds, in ticks
+/// of 10 microseconds.
 pub const IDLE: u64 = TICKS_PER_SECOND / 10;
 
-/// What becomes of bytes that come in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Intake {
-    /// They go to the decoder.
-    Open,
-    /// They wait: what the decoder holds goes no further, and has not been read to its end yet.
-    Ended,
-    /// They are dropped: they may be the rest of a payload.
-    Deaf,
-}
+/// Bytes a second that a line carries, unless [said otherwise](crate::Relay::line_rate): those of 57,600 baud.
+pub const LINE_RATE: u32 = 5_760;
+
+/// Into how many parts the time of a packet is divided, at whose ends arrivals are noted.
+const PARTS: u64 = 8;
+/// Arrivals that are noted: those of a whole packet's time, and some to spare.
+const ARRIVALS: usize = PARTS as usize + 3;
 
 /// Packets out of bytes, silence, and faults of the line.
+///
+/// The local side ([`Resync::Silence`]) knows silence alone: it ends deafness, and nothing else. The link side
+/// ([`Resync::NextByte`]) gives a packet up that has not come within the time that its bytes take, and [`IDLE`], from
+/// its first byte on. So nobody can hold up what comes behind for longer.
 #[derive(Debug)]
 pub(crate) struct PacketReader {
     decoder: Decoder,
-    intake: Intake,
-    /// Bytes that came while it was deaf.
-    unheard: u32,
-    /// Ticks of silence that end a packet.
+    resync: Resync,
+    /// Ticks that a sender may pause within a packet.
     idle: u64,
-    /// The last tick that is no silence yet; [`NEVER`] when nothing has come since the last silence.
-    heard_until: u64,
+    /// Ticks that the longest packet takes on the line.
+    longest: u64,
+    /// Bytes that have come, modulo 2^32, and when the last did.
+    heard: u32,
+    last: u64,
+    /// After how many bytes, and when, more came.
+    arrivals: Deque<(u32, u64), ARRIVALS>,
 }
 
-/// After all ticks.
-const NEVER: u64 = u64::MAX;
-
 impl PacketReader {
-    pub(crate) const fn new(resync: Resync) -> Self {
-        Self {
+    pub(crate) fn new(resync: Resync) -> Self {
+        let mut reader = Self {
             decoder: Decoder::new(resync, dialect::crc_extra),
-            intake: Intake::Open,
-            unheard: 0,
+            resync,
             idle: IDLE,
-            heard_until: NEVER,
-        }
+            longest: 0,
+            heard: 0,
+            last: 0,
+            arrivals: Deque::new(),
+        };
+        reader.set_line_rate(LINE_RATE);
+        reader
     }
 
     pub(crate) const fn set_idle(&mut self, ticks: u64) {
         self.idle = ticks;
     }
 
+    /// `rate` in bytes a second.
+    pub(crate) fn set_line_rate(&mut self, rate: u32) {
+        let longest = TICKS_PER_SECOND * MAX_FRAME_SIZE as u64;
+        self.longest = longest.div_ceil(u64::from(rate.max(1)));
+    }
+
     /// Bytes that [`PacketReader::write`] takes.
     pub(crate) fn room(&self) -> usize {
-        match self.intake {
-            Intake::Open => self.decoder.room(),
-            Intake::Ended => 0,
-            Intake::Deaf => usize::MAX,
-        }
+        self.decoder.room()
     }
 
     /// Takes bytes that came in at `now`, as many as there is room for.
     pub(crate) fn write(&mut self, bytes: &[u8], now: u64) -> usize {
-        if bytes.is_empty() {
-            return 0;
+        let count = self.decoder.write(bytes);
+        if count > 0 {
+            self.arrived(now);
+            self.heard = self.heard.wrapping_add(count as u32);
         }
-        self.hear(now);
-        match self.intake {
-            Intake::Open => self.decoder.write(bytes),
-            Intake::Ended => 0,
-            Intake::Deaf => {
-                self.unheard = self.unheard.saturating_add(bytes.len() as u32);
-                bytes.len()
-            }
+        count
+    }
+
+    fn arrived(&mut self, now: u64) {
+        self.last = now;
+        if self.resync == Resync::Silence {
+            return;
         }
+        let noted = self.arrivals.back();
+        if noted.is_some_and(|(_, time)| now.saturating_sub(*time) < self.part()) {
+            return;
+        }
+        if self.arrivals.is_full() {
+            self.arrivals.pop_front();
+        }
+        let _ = self.arrivals.push_back((self.heard, now));
+    }
+
+    /// The ticks within which arrivals are not told apart.
+    const fn part(&self) -> u64 {
+        (self.longest + self.idle) / PARTS + 1
     }
 
     /// The next packet that has arrived.
     pub(crate) fn read(&mut self) -> Option<Result<Packet<'_>, DecodeError>> {
-        let found = self.decoder.read();
-        if found.is_none() && self.intake == Intake::Ended {
-            self.intake = Intake::Open;
-        }
-        found
+        self.decoder.read()
     }
 
     /// Bytes that belonged to no packet.
     pub(crate) const fn dropped(&self) -> u32 {
-        self.decoder.dropped().saturating_add(self.unheard)
+        self.decoder.dropped()
     }
 
-    const fn hear(&mut self, now: u64) {
-        self.heard_until = now.saturating_add(self.idle);
+    /// What came before `now`, the sender may have held back: time begins anew.
+    pub(crate) fn restart_timer(&mut self, now: u64) {
+        self.last = now;
+        self.arrivals.clear();
+        let (begun, _) = self.decoder.begun();
+        let before = self.heard.wrapping_sub(begun as u32);
+        let _ = self.arrivals.push_back((before, now));
     }
 
-    /// Begins to measure silence at `now`: what came before, the sender may have held back.
-    pub(crate) const fn restart_idle_timer(&mut self, now: u64) {
-        if self.heard_until != NEVER {
-            self.hear(now);
+    /// When time changes something, unless more bytes come, and provided that all is read: a deaf side hears again, or a
+    /// packet that has begun is given up.
+    pub(crate) fn due_at(&self) -> Option<u64> {
+        if self.resync == Resync::Silence {
+            let deaf = self.decoder.is_deaf();
+            return deaf.then(|| self.last.saturating_add(self.idle).saturating_add(1));
         }
+        let (begun, announced) = self.decoder.begun();
+        if begun == 0 {
+            return None;
+        }
+        // The time of the noted arrival that the first byte came with, or after.
+        let first = self.heard.wrapping_sub(begun as u32);
+        let distance =
+            |count: u32| self.heard.wrapping_sub(count) >= self.heard.wrapping_sub(first);
+        let before = self
+            .arrivals
+            .iter()
+            .rev()
+            .find(|(count, _)| distance(*count));
+        let (_, came) = before.or_else(|| self.arrivals.front())?;
+        let takes = self.longest * announced as u64 / MAX_FRAME_SIZE as u64;
+        Some(came.saturating_add(takes + self.idle + self.part()))
     }
 
-    /// When the line will have been silent for long.
-    pub(crate) fn idle_at(&self) -> Option<u64> {
-        self.heard_until.checked_add(1)
+    /// Does what is due at `now`; whether there was something. To be [read](PacketReader::read) to the end, and asked
+    /// again.
+    pub(crate) fn poll(&mut self, now: u64) -> bool {
+        let due = self.due_at().is_some_and(|at| now >= at);
+        if due {
+            match self.resync {
+                Resync::Silence => self.decoder.idle(),
+                Resync::NextByte => self.decoder.give_up(),
+            }
+        }
+        due
     }
 
     /// The line has been silent for long. To be [read](PacketReader::read) to the end.
-    pub(crate) const fn silent(&mut self) {
-        self.heard_until = NEVER;
-        self.give_up(Intake::Ended);
+    pub(crate) fn silent(&mut self) {
+        self.decoder.idle();
     }
 
     /// Bytes of what has begun were lost, inserted or changed. To be [read](PacketReader::read) to the end.
-    pub(crate) const fn fault(&mut self) {
-        self.give_up(Intake::Ended);
-    }
-
-    /// The same at `now`, where bytes are trusted because of where they come from: what follows is not heard before
-    /// the line has been silent for long.
-    pub(crate) const fn deafen(&mut self, now: u64) {
-        self.hear(now);
-        self.give_up(Intake::Deaf);
-    }
-
-    const fn give_up(&mut self, intake: Intake) {
-        self.decoder.idle();
-        self.intake = intake;
+    pub(crate) fn fault(&mut self, now: u64) {
+        self.last = now;
+        self.decoder.fault();
     }
 }

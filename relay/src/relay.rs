@@ -3,11 +3,11 @@
 use core::fmt;
 
 use mavlink_signing::{
-    AntiReplay, KeyRing, LinkClock, Profile, RejectUnsigned, ReplayGuard, SetupSigning, Stamper,
-    UnsignedPolicy,
+    AntiReplay, KEY_SIZE, KeyChangeError, KeyRing, KeyStore, LinkClock, Profile, RejectUnsigned,
+    ReplayGuard, SetupSigning, Stamper, Timestamp, UnsignedPolicy,
 };
 
-use crate::direction::{ForwardMode, Signer, Verifier};
+use crate::direction::{ForwardMode, Presence, Senders, Signer, Verifier};
 use crate::endpoint::{Endpoint, LineEvent, Side};
 use crate::event::{Counters, Direction, Event, RejectReason};
 use crate::pump::{Lane, Pump};
@@ -53,6 +53,9 @@ impl<P: Profile, R: AntiReplay> Relay<P, R> {
     /// A relay that signs with `keys`, one key or the two of a change, and the stamps of `stamper`,
     /// verifies with `keys` and `receiver`, and hands verified frames on as `forward` says.
     ///
+    /// `stamper` and `receiver` are for the key that is signed with now. What a clock remembers of each key,
+    /// [`LinkClock::floor`], is kept to in any case.
+    ///
     /// # Errors
     ///
     /// [`SameLinkId`] if `receiver` would take frames that were signed here for frames of the peer.
@@ -66,11 +69,13 @@ impl<P: Profile, R: AntiReplay> Relay<P, R> {
         if !receiver.rejects_own(link_id) {
             return Err(SameLinkId(link_id));
         }
+        let keys = keys.into();
+        let slot = keys.signing_slot();
         Ok(Self {
-            keys: keys.into(),
+            keys,
             link_id,
-            outbound: Pump::new(Signer::new(stamper)),
-            inbound: Pump::new(Verifier::new(receiver, forward)),
+            outbound: Pump::new(Signer::new(stamper.in_slot(slot))),
+            inbound: Pump::new(Verifier::new(slot, receiver, forward)),
         })
     }
 
@@ -94,8 +99,8 @@ impl<P: Profile, R: AntiReplay> Relay<P, R> {
 }
 
 impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
-    /// The same relay with `ticks` of silence in place of [`IDLE`](crate::IDLE): longer than any pause within a
-    /// packet, such as a radio's slots make.
+    /// The same relay with `ticks` in place of [`IDLE`](crate::IDLE): longer than any sender pauses within a packet, such
+    /// as a radio's slots make.
     #[must_use]
     pub const fn idle(mut self, ticks: u64) -> Self {
         self.outbound.lane.reader.set_idle(ticks);
@@ -103,22 +108,116 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
         self
     }
 
-    /// From now on keeps the last SETUP_SIGNING for this system and component that comes in on the local side,
-    /// for [`Relay::take_setup`]. The local side must be one that nobody else can reach.
+    /// The same relay on a link side that carries `rate` bytes a second, in place of [`LINE_RATE`](crate::LINE_RATE). A
+    /// packet that takes longer than its bytes at that rate, and the idle time, is given up.
+    #[must_use]
+    pub fn line_rate(mut self, rate: u32) -> Self {
+        self.inbound.lane.reader.set_line_rate(rate);
+        self
+    }
+
+    /// The same relay, which signs in the name of `senders`, not of the system whose HEARTBEAT comes first.
+    #[must_use]
+    pub fn senders(mut self, senders: Senders) -> Self {
+        self.outbound = self.outbound.map(|signer| signer.for_senders(senders));
+        self
+    }
+
+    /// From now on keeps the last SETUP_SIGNING for this system and component that comes in on the local side with
+    /// [presence](Self::set_presence) or proof, for [`Relay::take_setup`].
     pub fn keep_setup(&mut self, system_id: u8, component_id: u8) {
         self.outbound.handler.keep_setup(system_id, component_id);
     }
 
+    /// Says whether somebody is there who may give a key. Absent, unless said otherwise.
+    pub fn set_presence(&mut self, presence: Presence) {
+        self.outbound.handler.set_presence(presence);
+    }
+
     /// The SETUP_SIGNING that came since it was last asked for. Nothing has been done about it:
-    /// [`KeyRing::apply`] takes over its key, and [`PersistentClock::update`](crate::PersistentClock::update) its
-    /// timestamp.
+    /// [`Relay::apply_setup`] does.
     pub fn take_setup(&mut self) -> Option<SetupSigning> {
         self.outbound.handler.take_setup()
     }
 
-    /// The keys of both directions, to be changed.
-    pub const fn keys(&mut self) -> &mut KeyRing<P> {
-        &mut self.keys
+    /// The keys of both directions.
+    pub const fn keys(&self) -> &KeyRing<P> {
+        &self.keys
+    }
+
+    /// Takes over the key of `setup`: [`KeyRing::apply`]. A new key has its own order of stamps, which begins with the
+    /// `initial_timestamp`, if that may be right. Nothing else is done with it: it neither sets back nor syncs a clock.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`KeyRing::apply`].
+    pub fn apply_setup(
+        &mut self,
+        setup: &SetupSigning,
+        clock: &mut impl LinkClock,
+        store: &mut impl KeyStore,
+    ) -> Result<(), KeyChangeError> {
+        self.begin_key(&setup.secret_key, setup.initial_timestamp, clock)?;
+        self.keys.apply(&setup.secret_key, store)
+    }
+
+    /// Begins to change to `key`, before it is sent to the other end: [`KeyRing::offer`].
+    ///
+    /// # Errors
+    ///
+    /// Those of [`KeyRing::offer`].
+    pub fn offer_key(
+        &mut self,
+        key: &[u8; KEY_SIZE],
+        clock: &mut impl LinkClock,
+        store: &mut impl KeyStore,
+    ) -> Result<(), KeyChangeError> {
+        let now = clock.now();
+        self.begin_key(key, now, clock)?;
+        self.keys.offer(key, store)
+    }
+
+    /// If `key` begins a change, forgets what was remembered of the slot that it goes to.
+    fn begin_key(
+        &mut self,
+        key: &[u8; KEY_SIZE],
+        initial: Timestamp,
+        clock: &mut impl LinkClock,
+    ) -> Result<(), KeyChangeError> {
+        let key = KeyRing::<P>::prepare(key)?;
+        if let Some(slot) = self.keys.slot_for(&key) {
+            let first = clock.begin_key(slot, key.fingerprint(), initial)?;
+            self.outbound.handler.begin_key(slot, first);
+            self.inbound.handler.begin_key(slot, first);
+        }
+        Ok(())
+    }
+
+    /// Goes over to the new key, if a frame with it was accepted: [`KeyRing::confirm`].
+    ///
+    /// # Errors
+    ///
+    /// Those of [`KeyRing::confirm`].
+    pub fn confirm_key(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
+        self.keys.confirm(store)
+    }
+
+    /// Drops the old key: [`KeyRing::retire`].
+    ///
+    /// # Errors
+    ///
+    /// Those of [`KeyRing::retire`].
+    pub fn retire_key(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
+        self.keys.retire(store)
+    }
+
+    /// Drops the key that was offered: [`KeyRing::withdraw`].
+    ///
+    /// # Errors
+    ///
+    /// Those of [`KeyRing::withdraw`].
+    pub fn withdraw_key(&mut self, store: &mut impl KeyStore) -> Result<(), KeyChangeError> {
+        self.keys.withdraw(store)
     }
 
     /// What has been signed and rejected on its way from the local to the link side.
@@ -152,7 +251,7 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
         match side {
             Side::Local => {
                 if let Some(frame) = outbound.advance(keys, clock, observe) {
-                    inbound.handler.record_sent(frame);
+                    inbound.handler.record_sent(keys.signing_slot(), frame);
                 }
             }
             Side::Link => {
@@ -208,7 +307,7 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
         let from = side.other();
         let lane = self.from(from);
         if lane.sent(count) {
-            lane.reader.restart_idle_timer(clock.monotonic());
+            lane.reader.restart_timer(clock.monotonic());
             self.advance(from, clock, observe);
         }
     }
@@ -221,10 +320,9 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
         observe: &mut impl FnMut(Event),
     ) {
         let reader = &mut self.from(side).reader;
-        match (event, side) {
-            (LineEvent::Idle, _) => reader.silent(),
-            (_, Side::Local) => reader.deafen(clock.monotonic()),
-            (_, Side::Link) => reader.fault(),
+        match event {
+            LineEvent::Idle => reader.silent(),
+            _ => reader.fault(clock.monotonic()),
         }
         self.advance(side, clock, observe);
         if event == LineEvent::Closed && self.from(side.other()).drop_frame() {
@@ -238,16 +336,14 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
     }
 
     fn poll_at(&self) -> Option<u64> {
-        let deadlines = [self.outbound.lane.idle_at(), self.inbound.lane.idle_at()];
+        let deadlines = [self.outbound.lane.due_at(), self.inbound.lane.due_at()];
         deadlines.into_iter().flatten().min()
     }
 
     fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(Event)) {
         let now = clock.monotonic();
         for side in [Side::Local, Side::Link] {
-            let lane = self.from(side);
-            if lane.idle_at().is_some_and(|at| now >= at) {
-                lane.reader.silent();
+            while self.from(side).poll(now) {
                 self.advance(side, clock, observe);
             }
         }

@@ -110,7 +110,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
         let key = own.prepare().map_err(PermitError::from)?;
         Ok(Self {
             outward: Egress {
-                reader: PacketReader::new(Resync::AnnouncedEnd),
+                reader: PacketReader::new(Resync::Silence),
                 packer: Packer::new(max_delay),
                 sealer: Sealer::resume(key, own.id, first),
                 mark: PacedMark::new(sent, Pace::SENT),
@@ -278,7 +278,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
             Side::Link => {
                 if self.outward.line.sent(count) {
                     let now = Moment::of(clock, self.origin);
-                    self.outward.reader.restart_idle_timer(now.ticks);
+                    self.outward.reader.restart_timer(now.ticks);
                     self.outward.advance(&mut self.radio, now, observe);
                 }
             }
@@ -301,7 +301,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
         } = self;
         match (side, event) {
             (Side::Local, LineEvent::Idle) => outward.reader.silent(),
-            (Side::Local, _) => outward.reader.deafen(now.ticks),
+            (Side::Local, _) => outward.reader.fault(now.ticks),
             // A frame from the radio ends with a byte of its own.
             (Side::Link, LineEvent::Idle) => {}
             (Side::Link, _) => inward.decoder = hx::Decoder::new(),
@@ -321,8 +321,8 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
 
     fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(SealedEvent)) {
         let now = Moment::of(clock, self.origin);
-        if self.outward.idle_at().is_some_and(|at| now.ticks >= at) {
-            self.outward.reader.silent();
+        if self.outward.line.is_empty() {
+            let _ = self.outward.reader.poll(now.ticks);
         }
         self.outward.advance(&mut self.radio, now, observe);
     }

@@ -15,8 +15,8 @@ pub const PAGE_SIZE: usize = 2048;
 const SIZE: usize = 2 * PAGE_SIZE;
 /// How many counters of a sealed link there is a flash for: those of a vehicle and 8 stations.
 pub const COUNTERS: usize = 9;
-/// How many flashes there are: two for the relay, and those.
-const COUNT: usize = 2 + COUNTERS;
+/// How many flashes there are: three for the relay, and those.
+const COUNT: usize = 3 + COUNTERS;
 /// What erased bytes read as.
 const ERASED: u8 = 0xFF;
 
@@ -41,7 +41,7 @@ static MEMORY: Memory = Memory(UnsafeCell::new(MaybeUninit::uninit()));
 pub struct Flash(&'static mut [u8; SIZE]);
 
 impl Flash {
-    /// All flashes: one for the relay's mark, one for its keys, one for each counter of a sealed link. They are
+    /// All flashes: two for the relay's marks, one for its keys, one for each counter of a sealed link. They are
     /// erased when the machine has just been switched on, as those of a new board are.
     ///
     /// # Safety

@@ -32,8 +32,8 @@ pub struct Board {
     pub uarts: [Uart; 2],
     /// The timer that the wall clock runs on.
     pub timer: Timer,
-    /// A flash for the relay's mark, and one for its keys.
-    pub flashes: [Flash; 2],
+    /// Flashes for the relay's marks, one for the key in each slot, and one for its keys.
+    pub flashes: [Flash; 3],
     /// Flashes for the counters of a sealed link: the vehicle's own, then those of its stations.
     pub counters: [Flash; COUNTERS],
 }
@@ -50,11 +50,11 @@ impl Board {
         // (Arm DAI 0400), CMSDK APB peripherals all; nobody else has them, now or later. The flashes are
         // made here alone.
         unsafe {
-            let [mark, keys, counters @ ..] = Flash::new();
+            let [mark_a, mark_b, keys, counters @ ..] = Flash::new();
             Some(Self {
                 uarts: [Uart::new(0x4000_4000), Uart::new(0x4000_5000)],
                 timer: Timer::new(0x4000_0000),
-                flashes: [mark, keys],
+                flashes: [mark_a, mark_b, keys],
                 counters,
             })
         }

@@ -1,11 +1,21 @@
 //! The decoder: whatever comes over the line, in whatever pieces.
 
-use std::{error::Error, process, sync::mpsc, thread, time::Duration};
+use std::{
+    error::Error,
+    process,
+    sync::{
+        atomic::{AtomicUsize, Ordering},
+        mpsc,
+    },
+    thread,
+    time::Duration,
+};
 
 use crate::common::*;
 use mavlink_signing::field::MAX_FRAME_SIZE;
 use mavlink_signing::{
-    DecodeError, Decoder, MessageId, Packet, ParseError, Resync, dialect::crc_extra,
+    DecodeError, Decoder, MessageId, Packet, ParseError, Resync, SetupSigning, Timestamp,
+    dialect::crc_extra,
 };
 
 /// A MAVLink 1 HEARTBEAT.
@@ -98,8 +108,9 @@ fn every_byte_is_dropped_or_in_a_packet() {
     let mut rest = &stream[..];
     let mut in_packets = 0;
     while !rest.is_empty() {
-        assert_eq!(decoder.room(), decoder.clone().write(&[0; 400]));
+        let room = decoder.room();
         let taken = decoder.write(rest);
+        assert_eq!(taken, room.min(rest.len()));
         assert!(taken > 0, "there is room after read has returned None");
         rest = &rest[taken..];
         for found in read_all(&mut decoder) {
@@ -116,7 +127,7 @@ fn every_byte_is_dropped_or_in_a_packet() {
 fn the_decoder_always_returns() {
     let (returned, wait) = mpsc::channel();
     thread::spawn(move || {
-        for resync in [Resync::NextByte, Resync::AnnouncedEnd] {
+        for resync in [Resync::NextByte, Resync::Silence] {
             let mut decoder = Decoder::new(resync, crc_extra);
             for byte in stream() {
                 decoder.write(&[byte]);
@@ -201,65 +212,120 @@ fn a_payload_is_taken_for_packets_only_where_that_is_asked_for() {
     let unknown = packet_in_packet(|packet| packet[7..10].copy_from_slice(&[0xF0; 3]));
     let damaged = packet_in_packet(|packet| packet[4] ^= 1);
     let flags = packet_in_packet(|packet| packet[2] = 4);
-    for stream in [unknown, damaged, flags] {
+    let magic = packet_in_packet(|packet| packet[0] = 0x55);
+    let lost = packet_in_packet(|packet| {
+        packet.remove(4);
+    });
+    let inner = Found::Mavlink2(unsigned(0, &[1, 2, 3]).as_bytes().into());
+    let behind = Found::Mavlink2(unsigned(0, &[4, 5, 6]).as_bytes().into());
+    for stream in [unknown, damaged, flags, magic, lost] {
         for size in 1..=stream.len() {
-            let counts = [Resync::NextByte, Resync::AnnouncedEnd].map(|resync| {
+            let [searched, trusted] = [Resync::NextByte, Resync::Silence].map(|resync| {
                 let mut decoder = Decoder::new(resync, crc_extra);
                 let mut found = Vec::new();
                 for piece in stream.chunks(size) {
                     assert_eq!(decoder.write(piece), piece.len());
                     found.extend(read_all(&mut decoder));
                 }
-                let inner = Found::Mavlink2(unsigned(0, &[1, 2, 3]).as_bytes().into());
-                let behind = Found::Mavlink2(unsigned(0, &[4, 5, 6]).as_bytes().into());
+                decoder.idle();
+                found.extend(read_all(&mut decoder));
+                decoder.write(unsigned(0, &[4, 5, 6]).as_bytes());
+                found.extend(read_all(&mut decoder));
                 assert_eq!(found.last(), Some(&behind));
-                (found.contains(&inner), found.len())
+                found
             });
-            assert!(counts[0].0, "the next byte");
-            assert_eq!(counts[1], (false, 2), "one fault, one packet");
+            assert!(searched.contains(&inner), "the next byte");
+            // What follows is not heard before the line was silent.
+            let packets = trusted.iter().filter(|it| !matches!(it, Found::Fault(_)));
+            assert_eq!(packets.collect::<Vec<_>>(), [&behind]);
         }
     }
 }
 
-/// To the byte, whatever kind of packet it is: one more would be of the next packet, one less would be
-/// searched for packets.
 #[test]
-fn a_damaged_packet_is_given_up_whole_where_payloads_are_not_searched() {
-    let packets = [
-        MAVLINK1.to_vec(),
-        unsigned(0, &[9; 9]).as_bytes().to_vec(),
-        signed(&[9; 9], NOW).as_bytes().to_vec(),
-    ];
-    for mut packet in packets {
-        packet[4] ^= 1;
-        let mut decoder = Decoder::new(Resync::AnnouncedEnd, crc_extra);
-        decoder.write(&packet);
-        let fault = DecodeError::BadChecksum(MessageId::from(0));
-        assert_eq!(decoder.read(), Some(Err(fault)));
-        assert_eq!(decoder.dropped() as usize, packet.len());
-        decoder.write(&MAVLINK1);
-        assert_eq!(read_all(&mut decoder), [Found::Mavlink1(MAVLINK1.into())]);
+fn a_packet_that_has_begun_waits_for_its_bytes_however_long_the_pauses_are() {
+    let whole = packet_in_packet(|_| ());
+    for cut in 1..whole.len() {
+        let mut decoder = Decoder::new(Resync::Silence, crc_extra);
+        decoder.write(&whole[..cut]);
+        let mut found = read_all(&mut decoder);
+        decoder.idle();
+        found.extend(read_all(&mut decoder));
+        decoder.write(&whole[cut..]);
+        found.extend(read_all(&mut decoder));
+        assert_eq!(found.len(), 2, "cut at {cut}");
+        assert_eq!(decoder.dropped(), 0);
     }
 }
 
 #[test]
-fn a_cut_packet_is_given_up_whole_where_payloads_are_not_searched() {
-    let mut stream = packet_in_packet(|_| ());
-    stream.truncate(26);
-    let mut decoder = Decoder::new(Resync::AnnouncedEnd, crc_extra);
-    decoder.write(&stream);
-    assert!(decoder.read().is_none());
-    decoder.idle();
-    assert!(decoder.read().is_none());
-    assert_eq!(decoder.dropped(), 26);
-
-    for cut in 1..4 {
-        let mut decoder = Decoder::new(Resync::AnnouncedEnd, crc_extra);
-        decoder.write(&stream[..cut]);
+fn a_fault_of_the_line_gives_up_what_has_begun_and_nothing_before() {
+    let frame = unsigned(0, &[1, 2, 3]);
+    for resync in [Resync::NextByte, Resync::Silence] {
+        let mut decoder = Decoder::new(resync, crc_extra);
+        decoder.write(frame.as_bytes());
+        decoder.write(&frame.as_bytes()[..7]);
+        decoder.fault();
+        assert_eq!(read_all(&mut decoder).len(), 1, "it came before");
+        let deaf = resync == Resync::Silence;
+        assert_eq!(decoder.is_deaf(), deaf);
+        assert_eq!(decoder.write(frame.as_bytes()), frame.as_bytes().len());
+        assert_eq!(read_all(&mut decoder).len(), usize::from(!deaf));
         decoder.idle();
         assert!(decoder.read().is_none());
-        assert_eq!(decoder.dropped() as usize, cut);
+        decoder.write(frame.as_bytes());
+        assert_eq!(read_all(&mut decoder).len(), 1);
     }
+}
+
+/// What magic bytes alone cost: checksums over so many bytes for each byte that came.
+#[test]
+fn a_flood_of_magic_bytes_costs_little() {
+    static CHECKED: AtomicUsize = AtomicUsize::new(0);
+    fn counted(id: MessageId) -> Option<u8> {
+        CHECKED.fetch_add(1, Ordering::Relaxed);
+        crc_extra(id)
+    }
+    let mut decoder = Decoder::new(Resync::NextByte, counted);
+    let flood = vec![0xFE; 100_000];
+    for piece in flood.chunks(64) {
+        let mut rest = piece;
+        while !rest.is_empty() {
+            rest = &rest[decoder.write(rest)..];
+            while decoder.read().is_some() {}
+        }
+    }
+    let checksums = CHECKED.load(Ordering::Relaxed);
+    // Of 262 bytes each: 8 for a byte.
+    assert!(checksums * 262 <= 8 * (flood.len() + 280), "{checksums}");
+    let frame = signed(&[1, 2, 3], NOW);
+    let mut found = Vec::new();
+    for byte in frame.as_bytes() {
+        assert_eq!(decoder.write(&[*byte]), 1);
+        found.extend(read_all(&mut decoder));
+    }
+    decoder.idle();
+    found.extend(read_all(&mut decoder));
+    assert!(matches!(found[..], [.., Found::Mavlink2(_)]), "{found:?}");
+}
+
+/// A key that was in it is in no log, and no longer in its memory.
+#[test]
+fn what_went_through_a_decoder_is_not_shown() {
+    let key = *b"a key that nobody else must read";
+    let setup = SetupSigning {
+        target_system: 1,
+        target_component: 25,
+        secret_key: key,
+        initial_timestamp: Timestamp::ZERO,
+    };
+    let frame = setup.to_frame(header(0)).expect("in the dialect");
+    let mut decoder = Decoder::new(Resync::Silence, crc_extra);
+    decoder.write(frame.as_bytes());
+    assert!(matches!(decoder.read(), Some(Ok(_))));
+    let shown = format!("{decoder:?}");
+    assert!(!shown.contains("97, 32, 107"), "{shown}");
+    assert!(shown.starts_with("Decoder { held: "), "{shown}");
 }
 
 #[test]

@@ -420,7 +420,7 @@ fn errors_say_what_is_wrong() {
         VerifyError::FromFuture.to_string(),
         VerifyError::TooOld.to_string(),
         VerifyError::Replayed.to_string(),
-        VerifyError::StreamsFull.to_string(),
+        VerifyError::Reflected.to_string(),
         VerifyError::Signed.to_string(),
         KeyChangeError::Key(KeyError::AllZero).to_string(),
         KeyChangeError::UnderWay.to_string(),
@@ -448,7 +448,7 @@ fn errors_say_what_is_wrong() {
          stamped in the future\n\
          stamped too long ago\n\
          not newer than the last accepted frame\n\
-         a new stream, and the table of streams is full\n\
+         of a system that this end signs for: sent back\n\
          the frame is signed\n\
          a key of zeros only is no key\n\
          another change of key is under way\n\

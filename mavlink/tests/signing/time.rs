@@ -188,7 +188,7 @@ fn a_spoofed_receiver_moves_a_clock_by_little_and_never_back() {
         let moved: u64 = (0..1000)
             .map(|_| {
                 end.clock
-                    .update(TimeSource::Bounded, Timestamp::MAX, end.timer)
+                    .update(TimeSource::Bounded, at(NOW + 3650 * DAY), end.timer)
             })
             .sum();
         assert_eq!((moved, end.ticks()), (SECOND, start + SECOND));
@@ -196,7 +196,7 @@ fn a_spoofed_receiver_moves_a_clock_by_little_and_never_back() {
         end.timer += 3600 * SECOND;
         assert_eq!(
             end.clock
-                .update(TimeSource::Bounded, Timestamp::MAX, end.timer),
+                .update(TimeSource::Bounded, at(NOW + 3650 * DAY), end.timer),
             0
         );
         assert_eq!(end.ticks(), start + 3601 * SECOND);
@@ -238,15 +238,68 @@ fn a_frame_takes_an_unsynced_clock_so_far_and_no_further() {
 
     // A clock that was never told the time, nor heard it, has nothing to count from.
     let mut end = End::new();
-    for begun in [0, Clock::MAX_STEP - 1] {
+    let reference = |clock: &Clock, stamp, timer| clock.reference_time(stamp, timer);
+    for begun in [0, Clock::RELEASE.ticks() - 1] {
         end.clock = Clock::unsynced(at(begun), end.timer);
-        assert_eq!(end.clock.reference_time(at(NOW), end.timer), at(NOW));
+        assert_eq!(reference(&end.clock, at(NOW), end.timer), at(NOW));
+        let last = reference(&end.clock, Timestamp::MAX, end.timer);
+        assert_eq!(last, Clock::CEILING);
     }
-    end.clock = Clock::unsynced(at(Clock::MAX_STEP), end.timer);
+    end.clock = Clock::unsynced(Clock::RELEASE, end.timer);
+    let last = Clock::RELEASE.saturating_add(Clock::MAX_STEP);
     assert_eq!(
-        end.clock.reference_time(at(NOW), end.timer),
-        at(2 * Clock::MAX_STEP)
+        reference(&end.clock, at(NOW + DAY), end.timer),
+        last.min(at(NOW + DAY))
     );
+    assert_eq!(reference(&end.clock, Timestamp::MAX, end.timer), last);
+}
+
+/// However many frames: the sum is bounded, and grows with the time that passes alone.
+#[test]
+fn many_frames_take_an_unsynced_clock_no_further_than_one() {
+    for mut end in [End::new(), End::synced()] {
+        end.timer += end.clock.holdover() + 1;
+        let first = end.ticks();
+        let mut stamp = first;
+        for _ in 0..100 {
+            stamp += 30 * DAY;
+            let _ = end.hears(stamp);
+        }
+        assert!(end.ticks() <= first + Clock::MAX_STEP + Window::ONE_MINUTE.ahead);
+        assert!(end.ticks() >= first + 300 * DAY);
+        end.timer += 60 * DAY;
+        assert_eq!(end.hears(first + Clock::MAX_STEP + 59 * DAY), Ok(()));
+    }
+    // Nor beyond the ceiling, from wherever.
+    let mut end = End::new();
+    end.clock = Clock::unsynced(Timestamp::ZERO, end.timer);
+    assert_eq!(
+        end.hears(Timestamp::MAX.ticks()),
+        Err(VerifyError::FromFuture)
+    );
+    let last = Clock::CEILING.ticks() + Window::ONE_MINUTE.ahead;
+    assert_eq!(end.hears(last + 1), Err(VerifyError::FromFuture));
+    assert_eq!(end.hears(last), Ok(()));
+    let told = end
+        .clock
+        .update(TimeSource::Trusted, Timestamp::MAX, end.timer);
+    assert_eq!((told, end.sync()), (0, SyncState::Unsynced));
+}
+
+/// A new key begins anew where it was said, whatever peers did to the clock before.
+#[test]
+fn a_new_key_frees_a_clock_that_was_led_away() {
+    let mut end = End::new();
+    assert_eq!(end.hears(NOW + 300 * DAY), Ok(()));
+    for nonsense in [Timestamp::ZERO, at(123_456_789), Timestamp::MAX] {
+        end.clock.begin(nonsense, end.timer);
+        assert_eq!(end.ticks(), NOW + 300 * DAY - RESERVATION);
+    }
+    end.clock.begin(at(NOW), end.timer);
+    assert_eq!((end.ticks(), end.sync()), (NOW, SyncState::Unsynced));
+    let mut end = End::synced();
+    end.clock.begin(at(NOW + DAY), end.timer);
+    assert_eq!(end.ticks(), NOW, "it knows better");
 }
 
 #[test]

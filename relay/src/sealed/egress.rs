@@ -83,14 +83,6 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
         true
     }
 
-    /// When the local side will have been silent for long: see [`Pump::idle_at`](crate::pump::Pump::idle_at).
-    pub(super) fn idle_at(&self) -> Option<u64> {
-        if !self.line.is_empty() {
-            return None;
-        }
-        self.reader.idle_at()
-    }
-
     /// When there will be something to do that no byte brings.
     pub(super) fn poll_at(&self, radio: &RadioPoller) -> Option<u64> {
         if !self.line.is_empty() {
@@ -100,7 +92,7 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
             let micros = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
             micros.div_ceil(MICROS_PER_TICK)
         });
-        let deadlines = [self.reader.idle_at(), full, Some(radio.ask_at())];
+        let deadlines = [self.reader.due_at(), full, Some(radio.ask_at())];
         deadlines.into_iter().flatten().min()
     }
 

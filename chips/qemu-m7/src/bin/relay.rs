@@ -5,12 +5,12 @@
 
 use cortex_m_rt::entry;
 use mavlink_signing::{
-    KeyChangeError, KeyRing, LinkClock, RolloverState, TICKS_PER_SECOND, TimeSource, Timestamp,
+    KEY_SIZE, KeyChangeError, KeyRing, LinkClock, RolloverState, SigningKey, Stamper, TICKS_PER_SECOND, TimeSource, Timestamp,
 };
 use mavseal_qemu_m7::{Board, Flash, PAGE_SIZE, Runs, WallClock, exit, info, log_rejected, warn};
 use mavseal_relay::{
-    Counters, Direction, Endpoint, Event, FlashKeyStore, ForwardMode, LineEvent, PersistentClock,
-    RejectReason, Relay, Side, TimeBehindMark, adapter,
+    Counters, Direction, Endpoint, Event, FirstKey, ForwardMode, LineEvent, LinkFlash, LinkMemory,
+    PersistentClock, Presence, RejectReason, Relay, Senders, Side, TimeError, adapter,
 };
 use mavseal_store::Region;
 
@@ -38,7 +38,7 @@ const COMPONENT: u8 = 25;
 /// With mavseal at both ends: its own profile, and one peer.
 #[cfg(not(feature = "standard-signature"))]
 mod peer {
-    use mavlink_signing::{Hmac, KEY_SIZE, ReplayGuard, Timestamp, Window};
+    use mavlink_signing::{Hmac, KEY_SIZE, ReplayGuard, Window};
     use mavseal_qemu_m7::{DEMO_KEY, info};
 
     /// The link id of the frames that the peer signs.
@@ -51,13 +51,13 @@ mod peer {
         DEMO_KEY
     }
 
-    pub(super) fn receiver(floor: Timestamp) -> Receiver {
+    pub(super) fn receiver() -> Receiver {
         info!(
             "In-line signer: signs on link {}, verifies link {}",
             super::LINK_OUT,
             LINK_IN
         );
-        ReplayGuard::resume(LINK_IN, Window::ONE_MINUTE, floor)
+        ReplayGuard::new(LINK_IN, Window::ONE_MINUTE)
     }
 }
 
@@ -65,9 +65,7 @@ mod peer {
 /// for them and for what is behind the relay.
 #[cfg(feature = "standard-signature")]
 mod peer {
-    use mavlink_signing::{
-        KEY_SIZE, Links, Standard, StreamTable, Timestamp, Window, passphrase_key,
-    };
+    use mavlink_signing::{KEY_SIZE, Links, Standard, StreamTable, Window, passphrase_key};
     use mavseal_qemu_m7::{DEMO_PASSPHRASE, info};
 
     pub(super) type Profile = Standard;
@@ -77,24 +75,13 @@ mod peer {
         passphrase_key(DEMO_PASSPHRASE)
     }
 
-    pub(super) fn receiver(floor: Timestamp) -> Receiver {
+    pub(super) fn receiver() -> Receiver {
         info!(
             "In-line signer: signs on link {}, verifies every link",
             super::LINK_OUT
         );
-        StreamTable::resume(Links::Any, Window::ONE_MINUTE, floor)
+        StreamTable::new(Links::Any, Window::ONE_MINUTE)
     }
-}
-
-/// The keys in flash; at the very first start, the one that the image was built with.
-fn keys(flash: Flash) -> Option<(FlashKeyStore<Flash>, KeyRing<peer::Profile>)> {
-    let (mut slots, found) = FlashKeyStore::open(flash, REGION).ok()?;
-    let keys = match found {
-        Some(keys) => keys,
-        None if slots.is_empty() => slots.provision(&peer::first_key()).ok()?,
-        None => return None,
-    };
-    Some((slots, keys))
 }
 
 #[entry]
@@ -106,30 +93,50 @@ fn main() -> ! {
         warn!("The relay needs a clock, and nobody tells the time");
         exit(1);
     };
-    let [mark, slots] = board.flashes;
-    // The timer of this board shows the time of day.
-    let Ok(mut kept) = PersistentClock::new(mark, REGION, || wall.now().ticks()) else {
-        warn!("The mark cannot be used");
-        exit(1);
-    };
-    let mut told = tell(&mut kept);
-    let Some((mut slots, keys)) = keys(slots) else {
-        warn!("The keys cannot be used");
-        exit(1);
-    };
-    let receiver = peer::receiver(kept.floor());
-    let Ok(relay) = Relay::new(
+    let [mark_a, mark_b, keys] = board.flashes;
+    let flash = LinkFlash {
         keys,
-        kept.stamper(LINK_OUT),
-        receiver,
+        marks: [mark_a, mark_b],
+        region: REGION,
+    };
+    let first_key = peer::first_key();
+    // The timer of this board shows the time of day.
+    let memory =
+        LinkMemory::open(flash, FirstKey::Demonstration(&first_key), || wall.now().ticks());
+    let (keys, memory) = match memory {
+        Ok(memory) => memory,
+        Err(error) => {
+            warn!("Keys and marks cannot be used: {}", error);
+            let _ = error;
+            exit(1);
+        }
+    };
+    let LinkMemory {
+        mut store,
+        clock: mut kept,
+    } = memory;
+    if is_published(&keys, &first_key) {
+        warn!("THE KEY IN USE IS THE DEMONSTRATION'S, WHICH EVERYBODY KNOWS: for demonstrations alone");
+    }
+    if store.retired_key_remains() {
+        warn!("A retired key can still be read from the flash: it is worn out");
+    }
+    let mut told = tell(&mut kept);
+    let relay = Relay::new(
+        keys,
+        Stamper::new(LINK_OUT),
+        peer::receiver(),
         ForwardMode::StripSignature,
-    ) else {
+    );
+    let Ok(relay) = relay else {
         warn!("Both directions have the same link id");
         exit(1);
     };
     // The machine that emulates this one may pause for longer than a line does.
-    let mut relay = relay.idle(IDLE);
+    let mut relay = relay.idle(IDLE).senders(Senders::System(SYSTEM));
     relay.keep_setup(SYSTEM, COMPONENT);
+    // The board has neither jumper nor button: whoever switches it on may give it a key, before anything else comes.
+    relay.set_presence(Presence::AtStart);
     let [mut local, mut link] = board.uarts;
 
     let mut log = Log::default();
@@ -147,26 +154,31 @@ fn main() -> ! {
                 relay.line_event(side, LineEvent::Overrun, &mut kept, &mut observe);
             }
         }
-        // The local side is a cable: who holds it may set key and clock.
         if let Some(setup) = relay.take_setup() {
-            let applied = relay.keys().apply(&setup.secret_key, &mut slots);
-            if applied.is_ok() {
-                log_time(kept.update(TimeSource::Trusted, setup.initial_timestamp));
-            }
+            let applied = relay.apply_setup(&setup, &mut kept, &mut store);
             log_key("SETUP_SIGNING", applied);
             // The key in use once more: everybody has it now, and the one before may go.
             if applied.is_ok() && relay.keys().rollover_state() == RolloverState::Confirmed {
-                log_key("Old key retired", relay.keys().retire(&mut slots));
+                log_key("Old key retired", relay.retire_key(&mut store));
+                if store.retired_key_remains() {
+                    warn!("The old key can still be read from the flash: it is worn out");
+                }
             }
         }
         if relay.keys().confirm_pending() {
-            log_key("New key heard", relay.keys().confirm(&mut slots));
+            log_key("New key heard", relay.confirm_key(&mut store));
         }
         if kept.monotonic().saturating_sub(told) > HOUR {
             told = tell(&mut kept);
         }
         log.turn(polled.moved(), kept.now(), &relay);
     }
+}
+
+/// Whether the key in use is the demonstration's.
+fn is_published(keys: &KeyRing<peer::Profile>, published: &[u8; KEY_SIZE]) -> bool {
+    let published = SigningKey::<peer::Profile>::new(published);
+    published.is_ok_and(|key| key.fingerprint() == keys.signing().fingerprint())
 }
 
 /// Tells the clock the time of day; gives it.
@@ -215,7 +227,7 @@ fn log_key(what: &str, result: Result<(), KeyChangeError>) {
     let _ = what;
 }
 
-fn log_time(result: Result<u64, TimeBehindMark>) {
+fn log_time(result: Result<u64, TimeError>) {
     if let Err(error) = result {
         warn!("{}", error);
         let _ = error;
