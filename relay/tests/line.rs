@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mavlink_commsec::{Credential, SenderId, hx};
+use mavlink_commsec::{AesGcm, Credential, SenderId, hx};
 use mavlink_signing::{
     Frame, Header, Hmac, MessageId, ReplayGuard, SigningKey, Stamp, Stamper, Timestamp, Window,
     crc::checksum, sign_frame,
@@ -14,7 +14,7 @@ use mavseal_relay::{
     },
 };
 use mavseal_store::{
-    HighWaterMark, Region,
+    Region,
     model::{Flash, PAGE_SIZE},
 };
 
@@ -292,13 +292,12 @@ fn sealed(own: &Credential, peer: Credential) -> Bench<SealedEndpoint<Flash<2>, 
         start: 0,
         page_size: PAGE_SIZE as u32,
     };
-    let mark = || HighWaterMark::open(Flash::default(), region).expect("a region");
-    let marks = HighWaterMarks {
-        sent: mark(),
-        accepted: [mark()],
-    };
+    let place = || (Flash::default(), region);
+    let peers = [peer];
+    let marks = HighWaterMarks::provision::<AesGcm>(own, &peers, place(), [place()]);
+    let marks = marks.expect("blank flashes");
     let max_delay = Duration::from_millis(50);
-    let end = SealedEndpoint::new(own, &[peer], marks, Radio::Station, max_delay).expect("keys");
+    let end = SealedEndpoint::new(own, &peers, marks, Radio::Station, max_delay).expect("keys");
     let mut bench = Bench::of(end);
     // It begins with a question to its radio.
     assert_eq!(bench.end.poll_at(), Some(0));
