@@ -125,7 +125,7 @@ impl LocalSide {
         }
     }
 
-    /// Why a frame of the local side is not signed, unless it is.
+    /// Why a frame of the local side is not signed, unless it is, or no stamp is left.
     fn specified(&self, frame: FrameRef<'_>) -> Result<(), RejectReason> {
         if frame.header().message_id == SETUP_SIGNING {
             return Err(RejectReason::SetupSigning);
@@ -169,13 +169,13 @@ pub fn only_unsigned_is_signed<P: Profile>(
     let signing = local.signer.sign(packet, keys, &mut { now });
     let expected = match packet {
         Packet::Mavlink1(_) => Err(RejectReason::Mavlink1),
-        Packet::Mavlink2(frame) => local.specified(frame),
+        Packet::Mavlink2(frame) => local.specified(frame).and_then(|()| {
+            local.learnt.get_or_insert(frame.header().system_id);
+            local.twin.next(now).map(drop).map_err(RejectReason::from)
+        }),
     };
     assert_eq!(signing.as_ref().map(drop), expected.as_ref().map(drop));
     let Ok(frame) = signing else { return expected };
-    if let Packet::Mavlink2(frame) = packet {
-        local.learnt.get_or_insert(frame.header().system_id);
-    }
     let original = packet.as_bytes();
     let bytes = frame.as_bytes();
     assert_eq!(bytes.len(), original.len() + SIGNATURE_SIZE);
