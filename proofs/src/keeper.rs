@@ -361,7 +361,7 @@ mod verification {
     }
 
     #[kani::proof]
-    #[kani::unwind(9)]
+    #[kani::unwind(33)]
     fn t1_restart() {
         let mut keeper = any_model();
         let before = keeper;
