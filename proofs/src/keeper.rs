@@ -1,13 +1,13 @@
 //! T1 and R3 over a restart: what was used before it is not used after it, of the key in either slot.
 
 use mavlink_signing::{
-    AntiReplay, Authentic, Authenticate, Frame, FrameRef, Header, KeySlot, KeyUse, LinkClock,
-    Links, NotStored, Profile, ReplayGuard, SignError, SigningKey, Stamp, Stamper, StreamTable,
-    Timestamp, VerifyError, Window, authenticate, sign_frame,
+    AntiReplay, Authentic, Authenticate, Frame, FrameRef, KeySlot, KeyUse, LinkClock, Links,
+    NotStored, Profile, ReplayGuard, SignError, SigningKey, Stamp, Stamper, StreamTable, Timestamp,
+    VerifyError, Window, authenticate, sign_frame,
 };
 
 use crate::key_memory::{self, FIRST, ring};
-use crate::model::Resumed;
+use crate::model::{HEARTBEAT, Resumed};
 
 /// A keeper whose memory is one number for each slot. T2 says that one in flash is as good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -190,19 +190,17 @@ pub fn accepts<P: Profile>(
         return Ok(());
     };
     let floor = restarted.floor(slot);
-    // After a restart, with whatever clock and window: it, and what is not newer than it, comes again.
-    for again in [stamp, earlier] {
-        if again.timestamp <= stamp.timestamp {
-            let frame = signed(key, again);
-            let window = Window {
-                past: u64::MAX,
-                ahead: u64::MAX,
-            };
-            let replay = ReplayGuard::resume(again.link_id, window, floor);
-            rejects(replay, authentic(&frame, key), after);
-            let streams = StreamTable::<1>::resume(Links::Any, window, floor);
-            rejects(streams, authentic(&frame, key), after);
-        }
+    // After a restart, with whatever clock and window: it, or what is not newer than it, comes again.
+    if earlier.timestamp <= stamp.timestamp {
+        let frame = signed(key, earlier);
+        let window = Window {
+            past: u64::MAX,
+            ahead: u64::MAX,
+        };
+        let replay = ReplayGuard::resume(earlier.link_id, window, floor);
+        rejects(replay, authentic(&frame, key), after);
+        let streams = StreamTable::<1>::resume(Links::Any, window, floor);
+        rejects(streams, authentic(&frame, key), after);
     }
     Ok(())
 }
@@ -213,11 +211,7 @@ fn rejects(mut receiver: impl AntiReplay, frame: Authentic<'_>, now: Timestamp) 
 }
 
 fn signed<P: Profile>(key: &SigningKey<P>, stamp: Stamp) -> Frame {
-    let header = Header {
-        system_id: stamp.link_id,
-        ..crate::model::HEARTBEAT
-    };
-    let mut frame = Frame::new(header, &[]).expect("in every dialect");
+    let mut frame = Frame::new(HEARTBEAT, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     frame
 }
@@ -295,7 +289,9 @@ mod tests {
             let marks = marks.map(|it| base + u64::from(it));
             let keeper = Model { follows, ..model(now, marks, floors, ahead, broken) };
             let used = KeyUse { slot: slot(b), former };
-            let _ = accepts::<Hmac>(used, before, keeper, stamp, earlier, at(now));
+            for earlier in [stamp, earlier] {
+                let _ = accepts::<Hmac>(used, before, keeper, stamp, earlier, at(now));
+            }
         }
     }
 
@@ -372,17 +368,14 @@ mod verification {
         kani::cover!(given.is_err(), "not stored");
     }
 
-    #[kani::proof]
-    #[kani::unwind(33)]
-    fn r3_step() {
+    fn steps(former: bool) {
         let (before, keeper) = (Resumed::any(), any_model());
-        let used = KeyUse {
-            slot: any_slot(),
-            former: kani::any(),
-        };
+        let slot = any_slot();
+        let used = KeyUse { slot, former };
+        // It may be the same frame again.
         let (stamp, earlier) = (any_stamp(), any_stamp());
         let verdict = accepts::<AnyTag>(used, before, keeper, stamp, earlier, any_timestamp());
-        kani::cover!(verdict.is_ok() && used.former, "accepted of a former key");
+        kani::cover!(verdict.is_ok() && earlier == stamp, "the same again");
         kani::cover!(
             verdict.is_ok() && earlier.timestamp < stamp.timestamp,
             "something before it"
@@ -392,5 +385,18 @@ mod verification {
             verdict == Err(VerifyError::Replayed) && stamp.timestamp >= before.first,
             "below the floor"
         );
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r3_step() {
+        steps(false);
+    }
+
+    /// Of a key in whose place another is in use.
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r3_former() {
+        steps(true);
     }
 }

@@ -375,7 +375,6 @@ mod verification {
 
     #[kani::proof]
     #[kani::unwind(33)]
-    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn d3_frame() {
         let (verdict, sync) = one(Step::Frame(any_timestamp()));
         let synced = sync == SyncState::Synced;
