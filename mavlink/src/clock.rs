@@ -288,6 +288,25 @@ impl Clock {
     }
 }
 
+#[cfg(kani)]
+#[cfg_attr(test, mutants::skip)]
+impl Clock {
+    /// For proofs: anchored there, set then by a trusted source or not, and moved so far since by bounded sources and by
+    /// peers.
+    #[must_use]
+    pub const fn holding(
+        mut self,
+        anchor: (Timestamp, u64),
+        set: (u64, bool),
+        moved: [u64; 2],
+    ) -> Self {
+        (self.anchor, self.anchored) = anchor;
+        (self.set, self.synced) = set;
+        [self.stepped, self.slewed] = moved;
+        self
+    }
+}
+
 /// A moment in seconds since 1970, which lies in the range.
 const fn year(unix_seconds: u64) -> Timestamp {
     match Timestamp::from_unix_seconds(unix_seconds) {
