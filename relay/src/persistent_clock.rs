@@ -74,8 +74,8 @@ pub struct PersistentClock<F, T> {
 enum KeyMark<F> {
     /// There is no key in the slot.
     Unused(F),
-    /// Its mark, and what it was at the start, or the first timestamp of a new key.
-    Of(HighWaterMark<F>, Timestamp),
+    /// Its mark, and what it was at the start, or the first timestamp of a new key; beyond 48 bits if all are used up.
+    Of(HighWaterMark<F>, u64),
     /// The flash failed when a new key was to be remembered.
     Failed,
 }
@@ -83,7 +83,10 @@ enum KeyMark<F> {
 impl<F: NorFlash> KeyMark<F> {
     const fn floor(&self) -> Timestamp {
         match self {
-            Self::Of(_, floor) => *floor,
+            Self::Of(_, floor) => match Timestamp::from_ticks(*floor) {
+                Some(floor) => floor,
+                None => Timestamp::MAX,
+            },
             _ => Timestamp::MAX,
         }
     }
@@ -119,7 +122,7 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
                 None => Ok(KeyMark::Unused(flash)),
                 Some(key) => {
                     let mark = HighWaterMark::open(flash, region, binding(key.fingerprint()))?;
-                    let floor = Timestamp::from_ticks(mark.get()).unwrap_or(Timestamp::MAX);
+                    let floor = mark.get();
                     Ok(KeyMark::Of(mark, floor))
                 }
             }
@@ -146,7 +149,7 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
                 Some(key) => {
                     let mark =
                         HighWaterMark::provision(flash, region, binding(key.fingerprint()), 0)?;
-                    Ok(KeyMark::Of(mark, Timestamp::ZERO))
+                    Ok(KeyMark::Of(mark, 0))
                 }
             }
         };
@@ -258,7 +261,7 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         // A mark behind the last timestamp would end the key before its time.
         let ahead = ahead.min(Timestamp::MAX.ticks_since(stamp));
         match slot.of_mut(&mut self.marks) {
-            KeyMark::Of(mark, floor) if stamp >= *floor => {
+            KeyMark::Of(mark, floor) if stamp.ticks() >= *floor => {
                 let reserved = mark.reserve(stamp.ticks(), ahead);
                 reserved.map_err(|_| NotStored)
             }
@@ -290,7 +293,7 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
             KeyMark::Failed => return Err(NotStored),
         };
         let begun = HighWaterMark::provision(flash, self.region, binding(key), first.ticks());
-        *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first);
+        *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first.ticks());
         self.newest = slot;
         self.clock.begin(initial, timer);
         Ok(first)

@@ -113,8 +113,15 @@ impl<T: PacketHandler> Pump<T> {
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let Self { lane, handler } = self;
-        let processed = match lane.reader.read() {
-            None => Ok(None),
+        let read = lane.reader.read();
+        let processed = match read {
+            None => {
+                // What has no magic byte is no error, but something came.
+                if lane.reader.is_deaf() {
+                    handler.no_packet();
+                }
+                Ok(None)
+            }
             Some(Err(error)) => {
                 handler.no_packet();
                 Err((error.into(), None))

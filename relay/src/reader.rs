@@ -102,6 +102,11 @@ impl PacketReader {
         self.decoder.read()
     }
 
+    /// Whether bytes are dropped until the line is silent.
+    pub(crate) fn is_deaf(&self) -> bool {
+        self.decoder.is_deaf()
+    }
+
     /// Bytes that belonged to no packet.
     pub(crate) const fn dropped(&self) -> u32 {
         self.decoder.dropped()

@@ -145,12 +145,22 @@ fn an_idle_line_is_heard_at_once() {
     bench.event(Side::Local, LineEvent::Overrun);
     bench.input(Side::Local, &[1, 2, 3]);
     bench.event(Side::Local, LineEvent::Idle);
-    bench.input(Side::Local, &[0xFD, 255, 0]);
-    bench.event(Side::Local, LineEvent::Idle);
     assert_eq!(bench.end.poll_at(), None);
-    bench.input(Side::Local, unsigned(&[1]).as_bytes());
+    let frame = unsigned(&[1]);
+    bench.input(Side::Local, frame.as_bytes());
     assert_eq!(bench.end.outbound().passed(), 1);
-    assert_eq!(bench.end.outbound().dropped(), 6);
+    assert_eq!(bench.end.outbound().dropped(), 3);
+    bench.output(Side::Link);
+    // A pause within a packet is no end of it.
+    for cut in 1..frame.as_bytes().len() {
+        let (begin, end) = frame.as_bytes().split_at(cut);
+        bench.input(Side::Local, begin);
+        bench.event(Side::Local, LineEvent::Idle);
+        bench.poll_at(bench.now + 100 * IDLE);
+        bench.input(Side::Local, end);
+        assert!(!bench.output(Side::Link).is_empty(), "cut at {cut}");
+    }
+    assert_eq!(bench.end.outbound().dropped(), 3);
 }
 
 #[test]
@@ -231,29 +241,37 @@ fn what_a_closed_line_was_to_take_is_dropped_and_counted() {
 }
 
 #[test]
-fn a_relay_waits_for_time_only_where_a_packet_has_begun() {
+fn a_relay_waits_for_time_only_where_it_changes_something() {
     let mut bench = relay();
     assert_eq!(bench.end.poll_at(), None);
+    // On the link side for what has begun, longer the more it announces.
     bench.input(Side::Link, &[0xFD]);
-    bench.now += 5;
-    bench.input(Side::Local, &[0xFD]);
-    assert_eq!(bench.end.poll_at(), Some(NOW + IDLE + 1));
-    bench.poll_at(NOW + IDLE + 1);
-    assert_eq!(bench.end.poll_at(), Some(NOW + 5 + IDLE + 1));
+    let longest = bench.end.poll_at().expect("a time");
+    bench.input(Side::Link, &[0, 0]);
+    let shortest = bench.end.poll_at().expect("a time");
+    assert!(NOW + IDLE < shortest && shortest < longest);
+    // 280 bytes and 12, with 5,760 a second.
+    assert_eq!(longest - shortest, (280 - 12) * 4862 / 280);
+    bench.poll_at(shortest - 1);
+    assert_eq!(bench.end.inbound().dropped(), 0);
+    bench.poll_at(shortest);
     assert_eq!(
-        (
-            bench.end.outbound().dropped(),
-            bench.end.inbound().dropped()
-        ),
-        (0, 1)
+        (bench.end.poll_at(), bench.end.inbound().dropped()),
+        (None, 3)
     );
-    // While a frame waits to go out, its direction waits for nothing else.
+    // On the local side for silence, and not for what has begun.
+    bench.input(Side::Local, &[0xFD]);
+    assert_eq!(bench.end.poll_at(), None);
+    bench.event(Side::Local, LineEvent::Noise);
+    assert_eq!(bench.end.poll_at(), Some(bench.now + IDLE + 1));
     bench.event(Side::Local, LineEvent::Idle);
-    bench.input(Side::Local, unsigned(&[1]).as_bytes());
+    // While a frame waits to go out, its direction waits for nothing else.
+    bench.input(Side::Link, signed(&[1], NOW).as_bytes());
+    bench.input(Side::Link, &[0xFD]);
     assert_eq!(bench.end.poll_at(), None);
     bench.now += 7;
-    bench.output(Side::Link);
-    assert_eq!(bench.end.poll_at(), Some(bench.now + IDLE + 1));
+    bench.output(Side::Local);
+    assert_eq!(bench.end.poll_at(), Some(bench.now + longest - NOW));
 }
 
 const STATION: Credential = credential(5);

@@ -148,10 +148,9 @@ impl<F: NorFlash> Pages<F> {
         if clean == [true; 2] {
             return Ok(());
         }
-        self.count_erase();
         // What counts may be what a cut has left, and may not be found again.
         self.append(contents)?;
-        self.sweep(contents)
+        self.replace(contents)
     }
 
     /// Writes records of `contents`, each in a place that holds it: more at the beginning of a page, as the other
@@ -266,9 +265,10 @@ impl<F: NorFlash> Pages<F> {
         let mut buffer = [0; MAX_RECORD_SIZE];
         let word = buffer.get_mut(..Self::WORD).unwrap_or_default();
         let read = self.flash.read(offset, word).is_ok();
-        let wiped = [0, ERASED].map(|wiped| word.iter().all(|byte| *byte == wiped));
+        let zero = word.iter().all(|byte| *byte == 0);
+        let erased = word.iter().all(|byte| *byte == ERASED);
         buffer.zeroize();
-        read.then_some(wiped != [false; 2])
+        read.then_some(zero || erased)
     }
 
     /// Where the words of this place begin.
