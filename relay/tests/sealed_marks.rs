@@ -139,7 +139,7 @@ fn a_cut_at_any_write_of_provisioning_leaves_a_board_that_starts() {
 
 #[test]
 fn two_cuts_leave_a_board_that_starts() {
-    for first in 0..40 {
+    for first in (0..40).step_by(2) {
         for second in 0..40 {
             cut(u64::from(first * 40 + second), &[first, second]);
         }
