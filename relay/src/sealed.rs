@@ -278,7 +278,6 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
             Side::Link => {
                 if self.outward.line.sent(count) {
                     let now = Moment::of(clock, self.origin);
-                    self.outward.reader.restart_timer(now.ticks);
                     self.outward.advance(&mut self.radio, now, observe);
                 }
             }
@@ -321,9 +320,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
 
     fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(SealedEvent)) {
         let now = Moment::of(clock, self.origin);
-        if self.outward.line.is_empty() {
-            let _ = self.outward.reader.poll(now.ticks);
-        }
+        self.outward.reader.poll(now.ticks, false);
         self.outward.advance(&mut self.radio, now, observe);
     }
 }

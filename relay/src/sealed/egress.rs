@@ -85,14 +85,15 @@ impl<F: NorFlash, C: Cipher> Egress<F, C> {
 
     /// When there will be something to do that no byte brings.
     pub(super) fn poll_at(&self, radio: &RadioPoller) -> Option<u64> {
+        let hears = self.reader.due_at(true);
         if !self.line.is_empty() {
-            return None;
+            return hears;
         }
         let full = self.packer.poll_at().map(|at| {
             let micros = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
             micros.div_ceil(MICROS_PER_TICK)
         });
-        let deadlines = [self.reader.due_at(), full, Some(radio.ask_at())];
+        let deadlines = [hears, full, Some(radio.ask_at())];
         deadlines.into_iter().flatten().min()
     }
 
