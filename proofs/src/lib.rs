@@ -25,6 +25,7 @@ pub mod parse;
 pub mod pipes;
 pub mod relay;
 pub mod replay;
+pub mod sealed_end;
 pub mod sealing;
 pub mod setup;
 pub mod sign;
