@@ -361,7 +361,7 @@ mod tests {
     use super::*;
     use embedded_storage::nor_flash::NorFlash as _;
     use mavlink_commsec::AesGcm;
-    use mavseal_store::{HighWaterMark, Region};
+    use mavseal_store::{Binding, HighWaterMark, MarkError, Region};
 
     use crate::mark::{Cut, Small};
 
@@ -471,6 +471,7 @@ mod tests {
             start: 0,
             page_size: Small::ERASE_SIZE as u32,
         };
+        let binding = Binding::new(0x45, [1, 2, 3, 4]);
         let mut random = fastrand::Rng::with_seed(8);
         let (mut begun, mut failed) = (0, 0);
         for _ in 0..200 {
@@ -478,10 +479,17 @@ mod tests {
             let mut used = BTreeSet::new();
             for _ in 0..40 {
                 flash.restart(Cut {
-                    after: random.u8(..4),
+                    after: random.u8(..20),
                     left: random.u32(..).to_le_bytes(),
                 });
-                let Ok(mut mark) = HighWaterMark::open(&mut flash, region) else {
+                // A cut before the first mark was whole has used nothing.
+                let mark = match HighWaterMark::open(&mut flash, region, binding) {
+                    Err(MarkError::NotProvisioned) if used.is_empty() => {
+                        HighWaterMark::provision(&mut flash, region, binding, 0).ok()
+                    }
+                    opened => opened.ok(),
+                };
+                let Some(mut mark) = mark else {
                     failed += 1;
                     continue;
                 };

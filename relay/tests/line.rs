@@ -358,7 +358,7 @@ fn a_sealed_end_gives_up_a_frame_with_a_fault() {
     bench.input(Side::Link, begin);
     bench.event(Side::Link, LineEvent::Idle);
     bench.input(Side::Link, end);
-    assert_eq!(bench.events, [SealedEvent::Opened(SenderId(7))]);
+    assert_eq!(bench.events, [SealedEvent::Opened(SenderId(7), 1)]);
 
     // It takes nothing more before its packets have left, or can leave no more.
     assert_eq!(bench.end.room(Side::Link), 0);

@@ -286,14 +286,15 @@ fn packets_arrive_whole_and_in_order_both_ways() {
             .count(),
         5
     );
-    assert_eq!(station.events, [SealedEvent::Opened(SenderId(7)); 5]);
+    let opened = [1, 2, 3, 4, 5].map(|counter| SealedEvent::Opened(SenderId(7), counter));
+    assert_eq!(station.events, opened);
 
     let package = station.seal(&packet(30));
     vehicle.air_in(hx::FrameKind::AirData, &package);
     assert_eq!(vehicle.local.output, packet(30));
     assert_eq!(
         vehicle.events.last(),
-        Some(&SealedEvent::Opened(SenderId(5)))
+        Some(&SealedEvent::Opened(SenderId(5), 1))
     );
     assert!(rejections(vehicle.end.opened()).is_empty());
     let none = [0; SealedRejectReason::ALL.len()];

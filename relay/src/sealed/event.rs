@@ -191,8 +191,8 @@ pub enum SealedEvent {
     Packed,
     /// A package goes out, under this counter.
     Sealed(u32),
-    /// A package was opened, and its packets go on to the local side.
-    Opened(SenderId),
+    /// A package of this peer was opened, with this counter, and its packets go on to the local side.
+    Opened(SenderId, u32),
     /// The radio has answered.
     Radio(Status),
     /// Something goes no further.

@@ -82,7 +82,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Ingress<F, N, C> {
             Err(rejection) => return reject(rejection),
         };
         counters.count_package();
-        observe(SealedEvent::Opened(opened.sender()));
+        observe(SealedEvent::Opened(opened.sender(), opened.counter()));
         for packet in opened.packets() {
             match packet {
                 Ok(packet) => {

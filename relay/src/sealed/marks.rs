@@ -21,6 +21,8 @@ pub const ACCEPTED_KIND: u8 = 0x41;
 const BEGUN: u64 = 0;
 /// The same mark afterwards.
 const COMPLETE: u64 = 1;
+/// The mark of the own counters of which none was used. What a cut has left of it may be read now, and not later.
+const NEW: [u8; MARK_SIZE] = (FIRST_COUNTER as u64).to_le_bytes();
 
 /// Where a mark lies: a flash, or a handle of it, and two pages in it.
 pub type Place<F> = (F, Region);
@@ -109,7 +111,9 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
         let all_blank = others.iter().all(|other| *other == Contents::Blank);
         match first {
             Contents::Blank if all_blank => Err(MarksError::NotProvisioned),
-            Contents::Blank | Contents::Interrupted if others.iter().all(is_unused) => {
+            Contents::Blank | Contents::Interrupted | Contents::Record(NEW)
+                if others.iter().all(is_unused) =>
+            {
                 store(fingerprints, own.id, peers, sent, accepted)
             }
             _ => find(fingerprints, own.id, peers, sent, accepted),
@@ -241,14 +245,8 @@ fn find<F: NorFlash, const N: usize>(
         accepted,
         fingerprints,
     };
-    if marks.accepted.iter().any(|mark| mark.get() == BEGUN) {
-        // Provisioning was cut. What a cut write has left of the own mark may be read now and not at the next start:
-        // it is stored once more, which costs a counter.
-        let mark = &mut marks.sent;
-        mark.reserve(mark.get(), 0)
-            .map_err(|error| MarksError::Store(own, error))?;
-        marks.complete(peers)?;
-    }
+    // Where a cut came between the last first mark and here.
+    marks.complete(peers)?;
     Ok(marks)
 }
 

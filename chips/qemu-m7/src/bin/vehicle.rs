@@ -9,15 +9,17 @@ use core::time::Duration;
 
 use cortex_m_rt::entry;
 use heapless::Vec;
+use mavlink_commsec::AesGcm;
 use mavlink_signing::{LinkClock, TICKS_PER_SECOND};
 use mavseal_qemu_m7::{
     Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, log_rejected, warn,
 };
 use mavseal_relay::sealed::{
-    HighWaterMarks, Radio, SealedCounters, SealedEndpoint, SealedEvent, SealedRejectReason,
+    HighWaterMarks, MarksError, Place, Radio, SealedCounters, SealedEndpoint, SealedEvent,
+    SealedRejectReason,
 };
 use mavseal_relay::{Direction, Endpoint, LineEvent, Side, adapter};
-use mavseal_store::{HighWaterMark, Region};
+use mavseal_store::Region;
 
 /// The vehicle's key, and those of the stations.
 mod keys {
@@ -36,6 +38,8 @@ const MAX_DELAY: Duration = Duration::from_millis(50);
 const IDLE: u64 = 10 * TICKS_PER_SECOND;
 /// Time without news after which the counters are logged: 300 milliseconds.
 const QUIET: u64 = TICKS_PER_SECOND * 3 / 10;
+/// Erases of a page after which the flash is complained of, of the 10,000 that its data sheet allows.
+const WORN: u32 = 8_000;
 /// The system and component that tell of the radio: a vehicle's, and MAV_COMP_ID_TELEMETRY_RADIO.
 const RADIO: Radio = Radio::Vehicle {
     system_id: 1,
@@ -47,15 +51,32 @@ const REGION: Region = Region {
     page_size: PAGE_SIZE as u32,
 };
 
-/// The marks in the flashes, one for each counter.
-fn marks(flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
-    let [sent, accepted @ ..] = flashes;
+/// Where the marks lie: one flash for each counter.
+fn places<F>(flashes: [F; COUNTERS]) -> Option<(Place<F>, [Place<F>; STATIONS])> {
+    let [sent, accepted @ ..] = flashes.map(|flash| (flash, REGION));
     let accepted = accepted.into_iter().take(STATIONS);
-    let accepted = accepted.map_while(|flash| HighWaterMark::open(flash, REGION).ok());
-    Some(HighWaterMarks {
-        sent: HighWaterMark::open(sent, REGION).ok()?,
-        accepted: accepted.collect::<Vec<_, STATIONS>>().into_array().ok()?,
-    })
+    let accepted = accepted.collect::<Vec<_, STATIONS>>();
+    Some((sent, accepted.into_array().ok()?))
+}
+
+/// The marks in the flashes. Blank ones are provisioned: this board is a new one at each start of the emulator, with
+/// new keys. In the field that is a step of production, and no start does it.
+fn marks(mut flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
+    let (sent, accepted) = places(flashes.each_mut())?;
+    let opened = HighWaterMarks::open::<AesGcm>(&OWN, &PEERS, sent, accepted);
+    let is_new = opened.err() == Some(MarksError::NotProvisioned);
+    let (sent, accepted) = places(flashes)?;
+    let marks = if is_new {
+        HighWaterMarks::provision::<AesGcm>(&OWN, &PEERS, sent, accepted)
+    } else {
+        HighWaterMarks::open::<AesGcm>(&OWN, &PEERS, sent, accepted)
+    };
+    marks
+        .inspect_err(|error| {
+            warn!("{}", error);
+            let _ = error;
+        })
+        .ok()
 }
 
 #[entry]
@@ -101,6 +122,9 @@ fn main() -> ! {
             end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
         }
         if log.is_quiet(now) {
+            if end.erases() > WORN {
+                warn!("The flash is wearing out: {} erases", end.erases());
+            }
             log.opened_of();
             log_counters("sealed", end.sealed());
             log_counters("opened", end.opened());
@@ -123,7 +147,7 @@ impl Log {
             SealedEvent::Rejected(direction, rejection) => {
                 log_rejected(self.rejected.push((direction, rejection)));
             }
-            SealedEvent::Opened(sender) => {
+            SealedEvent::Opened(sender, _) => {
                 let mut opened = PEERS.iter().zip(&mut self.opened);
                 if let Some((_, count)) = opened.find(|(peer, _)| peer.id == sender) {
                     *count = count.saturating_add(1);
