@@ -287,11 +287,10 @@ fn which(count: usize, back: u8) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use embedded_storage::nor_flash::NorFlash as _;
     use mavlink_commsec::AesGcm;
-    use mavseal_store::{HighWaterMark, Region};
+    use mavseal_store::HighWaterMark;
 
-    use crate::mark::{Cut, Small};
+    use crate::mark::{BINDING, Cut, REGION, Small};
 
     /// A step, and what it is about: in order, twice, late.
     fn step(random: &mut fastrand::Rng) -> Step {
@@ -391,24 +390,19 @@ mod tests {
     /// anywhere: none is used twice.
     #[test]
     fn n1_epochs_of_a_mark_in_flash() {
-        let region = Region {
-            start: 0,
-            page_size: Small::ERASE_SIZE as u32,
-        };
         let mut random = fastrand::Rng::with_seed(8);
         let (mut begun, mut failed) = (0, 0);
         for _ in 0..200 {
             let mut flash = Small::default();
+            HighWaterMark::provision(&mut flash, REGION, BINDING, 0).expect("stored");
             let mut used = BTreeSet::new();
             for _ in 0..40 {
                 flash.restart(Cut {
-                    after: random.u8(..4),
+                    after: random.u8(..8),
                     left: random.u32(..).to_le_bytes(),
                 });
-                let Ok(mut mark) = HighWaterMark::open(&mut flash, region) else {
-                    failed += 1;
-                    continue;
-                };
+                let mut mark =
+                    HighWaterMark::open(&mut flash, REGION, BINDING).expect("provisioned");
                 let epoch = mark.get();
                 if mark.reserve(epoch, 0).is_err() {
                     failed += 1;
