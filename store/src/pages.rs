@@ -130,8 +130,12 @@ impl<F: NorFlash> Pages<F> {
         if self.used >= COPIES_FIRST {
             return self.replace(contents);
         }
+        let blank = self.used == 0;
         // No erase: a cut in one may leave a page of garbage, which would look like damage.
         self.append(contents)?;
+        if blank {
+            return Ok(());
+        }
         self.sweep(contents)
     }
 
