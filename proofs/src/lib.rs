@@ -22,6 +22,7 @@ pub mod opening;
 pub mod packet;
 pub mod packing;
 pub mod parse;
+pub mod payload;
 pub mod pipes;
 pub mod relay;
 pub mod replay;
