@@ -24,6 +24,7 @@ pub mod packing;
 pub mod parse;
 pub mod payload;
 pub mod pipes;
+pub mod presence;
 pub mod relay;
 pub mod replay;
 pub mod sealing;
