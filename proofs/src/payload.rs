@@ -41,6 +41,7 @@ pub struct Arrival {
 /// # Panics
 ///
 /// If the property does not hold.
+#[must_use]
 pub fn never_a_packet(packets: &[Vec<u8>], arrival: &Arrival, damage: Option<&Damage>) -> usize {
     let (line, place) = Line::new(packets, arrival.silences, damage);
     let found = line.decode(arrival);
@@ -307,7 +308,7 @@ mod tests {
             arrival in arrival(),
             damage in proptest::option::weighted(0.9, damage()),
         ) {
-            never_a_packet(&packets, &arrival, damage.as_ref());
+            let _ = never_a_packet(&packets, &arrival, damage.as_ref());
         }
     }
 
