@@ -44,7 +44,7 @@ targets! {
     sealed: diff_gcm hx_decoder open_package pack_packets seal_open sealed_link;
     senders: streams_model;
     standard: diff_standard;
-    streams: decoder_chunks relay replay_model;
+    streams: decoder_chunks relay replay_model trusted_line;
     time: kept_link;
     unsigned: setup_signing unsigned_policy;
     values: checksum_table diff_hmac stamps;
