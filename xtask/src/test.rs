@@ -82,7 +82,7 @@ every wrong tag rejected in constant time
 cargo test --quiet --locked -p mavseal-chips-host every_wrong_tag -- --ignored --nocapture
 
 100,000 histories of a link
-cargo test --quiet --locked --release -p mavseal-relay --test simulation -- --ignored --nocapture
+cargo test --quiet --locked --release -p mavseal-relay --test simulation --test sealed_marks -- --ignored --nocapture
 
 mutants of the cores
 cargo mutants --version || cargo install --locked cargo-mutants
