@@ -14,6 +14,7 @@ pub mod keeper;
 pub mod key_memory;
 pub mod key_step;
 pub mod keys;
+pub mod leap;
 pub mod link;
 pub mod mark;
 pub mod model;

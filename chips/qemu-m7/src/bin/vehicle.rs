@@ -33,9 +33,6 @@ const _: () = assert!(STATIONS < COUNTERS, "a flash for every counter");
 
 /// How long a packet waits for others.
 const MAX_DELAY: Duration = Duration::from_millis(50);
-/// Silence that ends a packet: ten seconds. The serial ports of an emulator pause for as long as the machine
-/// that emulates is busy.
-const IDLE: u64 = 10 * TICKS_PER_SECOND;
 /// Time without news after which the counters are logged: 300 milliseconds.
 const QUIET: u64 = TICKS_PER_SECOND * 3 / 10;
 /// Erases of a page after which the flash is complained of, of the 10,000 that its data sheet allows.
@@ -81,18 +78,19 @@ fn marks(mut flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATION
 
 #[entry]
 fn main() -> ! {
-    let Some(board) = Board::take() else {
+    let Some(mut board) = Board::take() else {
         exit(1);
     };
+    board.watchdog.feed();
     let Some(marks) = marks(board.counters) else {
         warn!("The marks cannot be used");
         exit(1);
     };
-    let Ok(end) = SealedEndpoint::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, MAX_DELAY) else {
+    let end = SealedEndpoint::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, MAX_DELAY);
+    let Ok(mut end) = end else {
         warn!("The keys cannot be used");
         exit(1);
     };
-    let mut end = end.idle(IDLE);
     let [mut local, mut radio] = board.uarts;
     let mut uptime = Uptime::new(board.timer);
 
@@ -106,7 +104,10 @@ fn main() -> ! {
         let _ = (station, last);
     }
     let mut log = Log::default();
+    // What is on the line may have begun before the start: nothing is heard before the line was silent.
+    end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut |_| {});
     loop {
+        board.watchdog.feed();
         let now = uptime.monotonic();
         let mut observe = |event| log.event(event, now);
         let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
