@@ -83,6 +83,7 @@ cargo test --quiet --locked -p mavseal-chips-host every_wrong_tag -- --ignored -
 
 100,000 histories of three devices and an adversary
 cargo test --quiet --locked --release -p mavseal-proofs --lib d_100_000 -- --ignored
+cargo test --quiet --locked --release -p mavseal-relay --test sealed_marks -- --ignored --nocapture
 
 mutants of the cores
 cargo mutants --version || cargo install --locked cargo-mutants
