@@ -49,6 +49,8 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
         stations: stations.collect::<Result<_>>()?,
     };
     for packages in [PACKAGES, 1] {
+        play.lines.rejected(LOCAL, &packet(1))?;
+        play.lines.silence()?;
         for length in [0, 20, FULL] {
             play.down(&packet(length))?;
             play.up(0, &packet(length))?;
