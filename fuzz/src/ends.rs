@@ -344,10 +344,8 @@ fn provisioned(input: &Ends<'_>, flashes: &[Shared; 3]) {
     let made = HighWaterMarks::provision::<Unit>(&own, &PEERS, place(0), accepted);
     made.map(drop).expect("blank flashes");
     for (at, of) in [&own, &PEERS[0], &PEERS[1]].into_iter().enumerate() {
-        let (kind, first) = [
-            (SENT_KIND, input.first[0]),
-            (ACCEPTED_KIND, input.first[1]),
-        ][at.min(1)];
+        let (kind, first) =
+            [(SENT_KIND, input.first[0]), (ACCEPTED_KIND, input.first[1])][at.min(1)];
         let key = of.prepare::<Unit>().expect("a key").fingerprint(of.id);
         let binding = Binding::new(kind, key.expect("not for this one"));
         let mark = HighWaterMark::open(flashes[at].clone(), REGION, binding);

@@ -12,10 +12,13 @@ use mavlink_signing::{
 use mavseal_proofs::keys::{self, Event, Memory};
 use mavseal_relay::FlashKeyStore;
 use mavseal_store::model::{Failure, Flash, PAGE_SIZE, WORD_SIZE};
-use mavseal_store::{HighWaterMark, Journal, OpenError, Region};
+use mavseal_store::{Binding, HighWaterMark, Journal, OpenError, Region};
 
 use crate::input::Stamped;
 use crate::repair::signed;
+
+/// What the records are.
+const BINDING: Binding = Binding::new(9, [1, 2, 3, 4]);
 
 /// The two pages of a [`Shared`].
 pub(crate) const REGION: Region = Region {
@@ -82,7 +85,7 @@ pub struct Slots {
     pub chance: i64,
     /// Start and size of the pages of a region that may not fit, in units of 1024 bytes.
     pub region: [u8; 2],
-    /// The keys that are provided before all others, 32 times the same byte: none, if it is 0.
+    /// The keys that are provided before all others, 32 times the same byte: none, if it is 0 or 255.
     pub provided: [u8; 2],
     /// Of 256 writes, how many fail meanwhile.
     pub failing: u8,
@@ -194,7 +197,7 @@ fn fits([start, size]: [u8; 2]) {
     };
     assert_eq!(opened.err(), expected);
     // With their sequence number and checksum, 11 bytes are no whole words.
-    let odd = Journal::<_, 3>::open(flash, region);
+    let odd = Journal::<_, 3>::open(flash, region, BINDING);
     assert_eq!(odd.is_err(), expected.is_some() || region == REGION);
 }
 
@@ -215,9 +218,9 @@ fn provides(input: &Slots) {
                 in_use = true;
             }
             Err(KeyChangeError::NotStored) if input.failing > 0 => may_be.push(byte),
-            Err(error) => assert!(byte == 0 && matches!(error, KeyChangeError::Key(_))),
+            Err(error) => assert!(is_none(byte) && matches!(error, KeyChangeError::Key(_))),
         }
-        assert!(byte != 0 || provided.is_err());
+        assert!(!is_none(byte) || provided.is_err());
     }
     flash.restart();
     let (_, keys) = opened::<Hmac>(&flash);
@@ -228,9 +231,14 @@ fn provides(input: &Slots) {
         let found = *may_be.iter().find(is).expect("one of those");
         for byte in input.provided {
             let holds = flash.with(|flash| flash.holds(&[byte; WORD_SIZE]));
-            assert!(byte == found || byte == 0 || !holds);
+            assert!(byte == found || is_none(byte) || !holds);
         }
     }
+}
+
+/// Whether 32 times this byte is no key: zeros, and erased flash.
+const fn is_none(byte: u8) -> bool {
+    matches!(byte, 0 | 0xFF)
 }
 
 /// Whether a frame that is signed with key `byte` is accepted.
@@ -244,11 +252,12 @@ fn accepts(keys: &KeyRing<Hmac>, byte: u8) -> bool {
 /// A flash that does nothing any more stores nothing, and says so.
 fn rejects(chance: i64) {
     let flash = Shared::new(chance);
-    let (mut journal, _) = Journal::<_, 8>::open(flash.clone(), REGION).expect("fits");
-    let mut mark = HighWaterMark::open(Shared::new(chance), REGION).expect("fits");
+    let provision = |flash| HighWaterMark::provision(flash, REGION, BINDING, 0).expect("stored");
+    let mut mark = provision(Shared::new(chance));
     assert!(mark.reserve(u64::MAX, 0).is_err());
     assert_eq!(mark.get(), 0);
-    let mut mark = HighWaterMark::open(flash.clone(), REGION).expect("fits");
+    let mut mark = provision(flash.clone());
+    let (mut journal, _) = Journal::<_, 8>::open(flash.clone(), REGION, BINDING).expect("fits");
     flash.with(Flash::cut);
     for stored in [journal.append(&[1; 8]), journal.replace(&[1; 8])] {
         assert!(stored.is_err());

@@ -5,16 +5,17 @@ use std::error::Error;
 use arbitrary::Arbitrary;
 use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::{
-    DecodeError, Frame, FrameRef, Header, MavLinkState, Packet, SignError, Stamper, Tag, Timestamp,
+    DecodeError, Frame, FrameRef, Header, KeySlot, MavLinkState, Packet, SignError, Tag, Timestamp,
     VerifyError, sign_frame, verify_frame as verify_shared,
 };
 use mavseal_proofs::model::Resumed;
+use mavseal_proofs::relay::LocalSide;
 use mavseal_proofs::tamper::{self, Change};
 use mavseal_proofs::{emit, packet, parse, relay, sign, unforgeable, verify};
-use mavseal_relay::{ForwardMode, RejectReason};
+use mavseal_relay::{ForwardMode, RejectReason, Senders};
 
 use crate::input::{Head, Message, Moment, NOW, Receiver, Stamped};
-use crate::repair::{self, KEY};
+use crate::repair::{self, KEY, KEYS};
 
 /// Any bytes: parsing (W1), the front of a decoder's buffer (W3), and the verdict on them (V1, V2).
 pub fn verify_frame(bytes: &[u8]) {
@@ -166,8 +167,14 @@ pub fn relay_packet(input: Packaged<'_>) {
     for forward in [ForwardMode::KeepSignature, ForwardMode::StripSignature] {
         let _ = relay::only_verified_leaves(packet, &KEY, receiver, forward, now, index);
     }
-    let stamper = Stamper::resume(!input.receiver.link_id, input.stamped.timestamp());
-    let _ = relay::only_unsigned_is_signed(packet, &KEY, stamper, now, index);
+    let (link_id, first) = (!input.receiver.link_id, input.stamped.timestamp());
+    // Twice, so that a first HEARTBEAT counts.
+    for senders in [Senders::Any, Senders::System(1), Senders::FirstHeartbeat] {
+        let mut local = LocalSide::new(link_id, KeySlot::A, first, senders);
+        for _ in 0..2 {
+            let _ = relay::only_unsigned_is_signed(&mut local, packet, &KEYS, now, index);
+        }
+    }
 }
 
 /// A frame to sign.

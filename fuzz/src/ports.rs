@@ -7,7 +7,7 @@ use mavlink_signing::{
     Hmac, ReplayGuard, SigningKey, Stamper, Timestamp, VerifyError, Window, authenticate,
 };
 use mavseal_relay::{
-    ForwardMode, Relay, SameLinkId,
+    ForwardMode, Relay, SameLinkId, Senders,
     adapter::{self, PortError},
 };
 
@@ -228,7 +228,8 @@ fn run(
         replay,
         ForwardMode::StripSignature,
     )?
-    .idle(0x8000);
+    .idle(0x8000)
+    .senders(Senders::Any);
     let (mut local, mut link) = (Port::new(local), Port::new(link));
     for poll in polls {
         now = now.saturating_add(poll.ticks.into());

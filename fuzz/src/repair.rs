@@ -12,7 +12,7 @@ use mavlink_signing::field::{
     SIGNED_FLAG, TAG_SIZE, TIMESTAMP_SIZE,
 };
 use mavlink_signing::{
-    Frame, Hmac, MessageId, Profile, SigningKey, Stamp, Tag, Timestamp, sign_frame,
+    Frame, Hmac, KeyRing, MessageId, Profile, SigningKey, Stamp, Tag, Timestamp, sign_frame,
 };
 
 use crate::input::Head;
@@ -23,6 +23,10 @@ pub const SECRET: [u8; 32] = *b"the key of every fuzz target....";
 /// The key, prepared once.
 pub static KEY: LazyLock<SigningKey<Hmac>> =
     LazyLock::new(|| SigningKey::new(&SECRET).expect("a key"));
+
+/// The same, as an end of a link has it.
+pub static KEYS: LazyLock<KeyRing<Hmac>> =
+    LazyLock::new(|| SigningKey::new(&SECRET).expect("a key").into());
 
 /// The checksum, by the crate `crc`, 16 bytes at a time.
 #[must_use]

@@ -43,16 +43,18 @@ pub struct Arrivals {
     pub arrivals: Vec<Arrival>,
 }
 
-/// The naive model: every frame that was ever accepted, or sent while there was room for its stream.
+/// The naive model: every frame that was ever accepted, and what is known of each stream.
 struct Naive {
     links: Links,
     receiver: Resumed,
     room: usize,
-    seen: Vec<(Stream, Timestamp)>,
-    /// The streams that had their first frame from this end.
-    own: BTreeSet<[u8; 3]>,
-    /// The links on which a stream of this end's has no row.
-    closed: BTreeSet<u8>,
+    /// All that were accepted, in order.
+    accepted: Vec<(Stream, Timestamp)>,
+    rows: Vec<(Stream, Timestamp)>,
+    /// The first tick that is fresh in every stream.
+    floor: u64,
+    /// Systems and links that this end has signed for.
+    own: [BTreeSet<u8>; 2],
 }
 
 impl Naive {
@@ -60,60 +62,65 @@ impl Naive {
     fn receive(&mut self, frame: (Stream, Timestamp), now: Timestamp) -> Result<(), VerifyError> {
         let (stream, stamped) = frame;
         let age = i128::from(now.ticks()) - i128::from(stamped.ticks());
-        let Resumed { window, first, .. } = self.receiver;
-        let rows = self.rows();
-        let last = rows.iter().find(|(of, _)| *of == stream);
-        let closed = self.closed.len() > 1 || self.closed.contains(&stream.link_id);
+        let Resumed { window, .. } = self.receiver;
+        let last = self.rows.iter().find(|(of, _)| *of == stream);
         if !self.takes(stream) {
             Err(VerifyError::WrongLink(stream.link_id))
+        } else if self.is_own(stream) {
+            Err(VerifyError::Reflected)
         } else if -age > window.ahead.into() {
             Err(VerifyError::FromFuture)
         } else if age > window.past.into() {
             Err(VerifyError::TooOld)
-        } else if stamped < first || last.is_some_and(|(_, last)| stamped <= *last) {
+        } else if stamped.ticks() < self.floor || last.is_some_and(|(_, last)| stamped <= *last) {
             Err(VerifyError::Replayed)
-        } else if last.is_none() && (rows.len() == self.room || closed) {
-            Err(VerifyError::StreamsFull)
         } else {
-            self.seen.push(frame);
+            assert!(!self.accepted.contains(&frame), "accepted twice");
+            self.accepted.push(frame);
+            self.remember(frame);
             Ok(())
         }
     }
 
-    fn send(&mut self, frame: (Stream, Timestamp)) {
-        let (rows, stream) = (self.rows(), frame.0);
-        if !self.takes(stream) {
-            return;
+    fn remember(&mut self, frame: (Stream, Timestamp)) {
+        if let Some(row) = self.rows.iter_mut().find(|(of, _)| *of == frame.0) {
+            row.1 = frame.1;
+        } else {
+            self.rows.push(frame);
         }
-        if rows.iter().all(|(of, _)| *of != stream) {
-            if rows.len() == self.room || self.own.len() == self.room / 2 {
-                self.closed.insert(stream.link_id);
-                return;
-            }
-            self.own.insert(ids(stream));
+        if self.rows.len() > self.room {
+            // Of several oldest ones the first; but the new one only if no other is as old.
+            let key = |at: &usize| (self.rows[*at].1, *at);
+            let oldest = (0..self.rows.len()).min_by_key(key).expect("one at least");
+            let given_up = if self.rows[oldest].1 == frame.1 {
+                self.room
+            } else {
+                oldest
+            };
+            let (_, last) = self.rows.swap_remove(given_up);
+            self.floor = self.floor.max(last.ticks() + 1);
         }
-        self.seen.push(frame);
+    }
+
+    fn send(&mut self, stream: Stream) {
+        self.own[0].insert(stream.system_id);
+        self.own[1].insert(stream.link_id);
+    }
+
+    /// An end signs for one link; if it does not, for all of them.
+    fn is_own(&self, stream: Stream) -> bool {
+        let [systems, links] = &self.own;
+        systems.contains(&stream.system_id) && (links.len() > 1 || links.contains(&stream.link_id))
     }
 
     fn takes(&self, stream: Stream) -> bool {
         self.links == Links::Any || self.links == Links::Only(stream.link_id)
     }
-
-    /// Each stream, and when the newest of its frames was stamped.
-    fn rows(&self) -> Vec<(Stream, Timestamp)> {
-        let mut rows: Vec<(Stream, Timestamp)> = Vec::new();
-        for (stream, stamped) in &self.seen {
-            match rows.iter_mut().find(|(of, _)| of == stream) {
-                Some((_, last)) => *last = *stamped.max(last),
-                None => rows.push((*stream, *stamped)),
-            }
-        }
-        rows
-    }
 }
 
 /// Frames of several streams, authentic, reflected or neither, in any order, while the clock jumps: every
-/// verdict is that of a naive model, and so is every row after it (R2).
+/// verdict is that of a naive model, which knows all that was ever accepted, and so are every row and the floor after
+/// it (R2).
 pub fn streams_model(input: Arrivals) {
     match input.rows % 3 {
         0 => run::<1>(&input),
@@ -131,15 +138,20 @@ fn run<const N: usize>(input: &Arrivals) {
         links,
         receiver,
         room: N,
-        seen: Vec::new(),
-        own: BTreeSet::new(),
-        closed: BTreeSet::new(),
+        accepted: Vec::new(),
+        rows: Vec::new(),
+        floor: first.ticks(),
+        own: [BTreeSet::new(), BTreeSet::new()],
     };
     let mut now = first;
     for arrival in &input.arrivals {
         now = jump(now, arrival.jump);
         let kind = arrival.kind % 8;
-        let again = naive.seen.iter().nth_back(arrival.sender.into()).copied();
+        let again = naive
+            .accepted
+            .iter()
+            .nth_back(arrival.sender.into())
+            .copied();
         let new = (sender(arrival.sender), move_by(now, arrival.after.into()));
         let Some(frame) = (if kind == 7 { again } else { Some(new) }) else {
             continue;
@@ -154,11 +166,11 @@ fn run<const N: usize>(input: &Arrivals) {
         let stamp = Stamp { link_id, timestamp };
         let verdict = match kind {
             3 => {
-                naive.send(frame);
+                naive.send(frame.0);
                 Err(reflected(&mut streams, &KEY, header, stamp, now))
             }
             4..=7 => receive(&made(header, stamp, kind), &mut streams, now),
-            _ => step(&mut streams, first, &KEY, header, stamp, now),
+            _ => step(&mut streams, &KEY, header, stamp, now),
         };
         let expected = match kind {
             4 => Err(VerifyError::NotSigned),
@@ -169,12 +181,14 @@ fn run<const N: usize>(input: &Arrivals) {
         assert_eq!(verdict, expected);
         let reason = verdict.err().map(RejectReason::from);
         assert_ne!(reason, Some(RejectReason::Other));
-        let rows = naive.rows().into_iter();
-        assert!(streams.rows().eq(rows.map(|(of, last)| (of, Some(last)))));
+        let rows = naive.rows.iter();
+        assert!(streams.rows().eq(rows.map(|(of, last)| (*of, Some(*last)))));
+        assert_eq!(streams.floor(), Timestamp::from_ticks(naive.floor));
+        assert_eq!(streams.is_own(link_id, system_id), naive.is_own(frame.0));
     }
 }
 
-fn ids(stream: Stream) -> [u8; 3] {
+const fn ids(stream: Stream) -> [u8; 3] {
     [stream.link_id, stream.system_id, stream.component_id]
 }
 

@@ -7,7 +7,7 @@ use mavlink_signing::{Decoder, Hmac, Resync, SigningKey, Timestamp};
 use mavseal_proofs::history::{Step, history};
 use mavseal_proofs::packet;
 use mavseal_proofs::pipes::{Turn, pipes};
-use mavseal_relay::ForwardMode;
+use mavseal_relay::{ForwardMode, Senders};
 
 use crate::input::Moment;
 use crate::repair::{self, KEY, Parts, SECRET};
@@ -39,6 +39,9 @@ pub fn decoder_chunks(input: Stream<'_>) {
         if input.silence > 0 && at % usize::from(input.silence) == 0 {
             decoder.idle();
         }
+        while decoder.room() == 0 {
+            let _ = packet::gives(&mut decoder, crc_extra);
+        }
         packet::takes(&mut decoder, byte);
         while packet::gives(&mut decoder, crc_extra).is_some() {}
     }
@@ -63,6 +66,8 @@ pub fn replay_model(input: History) {
 pub struct Piped<'a> {
     /// Whether verified frames leave as they came.
     pub whole: bool,
+    /// Whether only the system is signed for whose HEARTBEAT comes first.
+    pub named: bool,
     /// The time.
     pub now: Moment,
     /// The packets that are left as they are: bit `n` for packet `n` of each side, modulo 16.
@@ -100,5 +105,6 @@ pub fn relay(input: Piped<'_>) {
         });
     }
     let forward = forward[usize::from(input.whole)];
-    let _ = pipes(key, forward, now, local, link, &input.turns);
+    let senders = [Senders::Any, Senders::FirstHeartbeat][usize::from(input.named)];
+    let _ = pipes(key, forward, senders, now, local, link, &input.turns);
 }

@@ -1,20 +1,21 @@
-//! Target: one end of a link in time, with its clock and its mark, over restarts.
+//! Target: one end of a link in time, with its clock and a mark for each of its keys, over restarts.
 
 use std::cell::Cell;
+use std::collections::BTreeMap;
 
 use arbitrary::Arbitrary;
-use crc::{CRC_32_ISO_HDLC, Crc};
-use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{
-    Clock, FrameRef, LinkClock, RESERVATION, ReplayGuard, Stamp, Stamper, SyncState, TimeSource,
-    Timestamp, VerifyError, Window, authenticate, system_time,
+    Authenticate, Clock, FrameRef, Hmac, KeyRing, KeySlot, LinkClock, RESERVATION, ReplayGuard,
+    RolloverState, SigningKey, Stamp, Stamper, SyncState, TimeSource, Timestamp, VerifyError,
+    Window, system_time,
 };
-use mavseal_relay::{PersistentClock, PersistentClockError, RejectReason};
+use mavseal_proofs::keys::{self, Model};
+use mavseal_relay::{PersistentClock, RejectReason};
 use mavseal_store::model::{Flash, PAGE_SIZE};
-use mavseal_store::{HighWaterMark, Region, ReserveError, StoreError};
+use mavseal_store::{Binding, HighWaterMark, Region};
 
 use crate::input::Moment;
-use crate::repair::{KEY, signed};
+use crate::repair::signed;
 use crate::senders::{jump, move_by};
 
 const REGION: Region = Region {
@@ -25,14 +26,16 @@ const REGION: Region = Region {
 const NOWHERE: Region = Region { start: 8, ..REGION };
 /// The link that this end signs for, and the one that it hears.
 const LINK_IDS: [u8; 2] = [1, 2];
+const MINUTE: Window = Window::ONE_MINUTE;
 
 /// Something that happens at the end.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub struct Happening {
     /// Ticks since what happened before: none, or 2^(n - 1), n counted round 40 of them.
     pub wait: u8,
-    /// Modulo 8: 0 nothing; 1 a trusted source tells the time; 2 another one does; 3 SYSTEM_TIME; 4 a
-    /// frame is sent; 5 one arrives; 6 the last accepted arrives again; 7 the end starts anew.
+    /// Modulo 12: 0 nothing; 1 a trusted source tells the time; 2 another one does; 3 SYSTEM_TIME; 4 a
+    /// frame is sent; 5 one arrives; 6 the last accepted arrives again; 7 the end starts anew; 8 it is given a new key;
+    /// 9 it retires the old one, if it may; 10 and 11 as 5 and 6, with the key that it does not sign with.
     pub kind: u8,
     /// How far from the clock the time is that is told or stamped: as far as an arrival's clock jumps,
     /// then so many ticks.
@@ -48,53 +51,86 @@ pub struct End {
     pub drift: u8,
     /// What the mark begins with.
     pub mark: Moment,
-    /// How many records the flash takes before its numbers of records are used up; 0 for all of them.
-    pub records: u8,
     /// What is left of words in which the power fails.
     pub chance: u16,
     /// In order.
     pub happenings: Vec<Happening>,
 }
 
-/// What has been used, over all starts.
-#[derive(Default)]
+/// What has been used with one key, over all starts.
+#[derive(Clone, Copy, Default)]
 struct Used {
     given: Option<Timestamp>,
     accepted: Option<Timestamp>,
 }
 
-/// An end over its restarts: no stamp is given twice (T1, T2), no frame accepted twice (R3); what is rejected
-/// changes no receiver and moves no clock, what is not trusted moves it by a second at most, and a clock that
-/// knows the time accepts nothing outside of the window.
+/// What outlives a restart, but for the marks: the keys, and what the test knows of each.
+struct Lasting {
+    keys: KeyRing<Hmac>,
+    /// The number of the key in each slot.
+    numbers: [u8; 2],
+    memory: Model,
+    used: BTreeMap<u8, Used>,
+}
+
+/// The first key's number.
+const FIRST: u8 = 1;
+
+fn key(number: u8) -> SigningKey<Hmac> {
+    SigningKey::new(&keys::bytes(number)).expect("neither 0 nor 255")
+}
+
+/// An end over its restarts: under no key is a stamp given twice (T1, T2) or a frame accepted twice (R3), and each key
+/// has a mark of its own. What is rejected changes no receiver and moves no clock; what is not trusted moves it by a
+/// second at most; a frame of a former key does not move it. A clock that knows the time accepts nothing outside of the
+/// window; one that does not follows none beyond the ceiling. A new key starts it anew only if it does not know the
+/// time.
 pub fn kept_link(input: End) {
     let timer = Cell::new(0);
-    let mut flash = Flash::new(input.chance.into());
-    let mut used = Used::default();
+    let flashes = [input.chance, !input.chance].map(|chance| Flash::new(chance.into()));
+    let mut lasting = Lasting {
+        keys: key(FIRST).into(),
+        numbers: [FIRST, 0],
+        memory: Model::new(),
+        used: BTreeMap::new(),
+    };
     if input.happenings.is_empty() {
-        assert!(PersistentClock::new(flash, NOWHERE, || 0).is_err());
+        assert!(PersistentClock::provision(flashes, NOWHERE, &lasting.keys, || 0).is_err());
         return;
     }
-    if input.records > 0 {
-        write_record(&mut flash, u32::MAX - u32::from(input.records));
-    }
+    let kept = PersistentClock::provision(flashes, REGION, &lasting.keys, || 0).expect("power");
+    let mut flashes = kept
+        .into_flashes()
+        .map(|flash| flash.expect("it has not failed"));
     if input.mark.timestamp() != Timestamp::ZERO {
-        flash = begin_at(flash, input.mark.timestamp(), &mut used);
+        begin_at(&mut flashes[0], input.mark.timestamp(), &mut lasting);
     }
     let mut happenings = input.happenings.iter();
     loop {
-        let kept = match PersistentClock::new(flash, REGION, || timer.get()) {
-            Ok(kept) => kept.drifting(input.drift.into()),
-            Err(error) => {
-                assert_eq!(error, PersistentClockError::Exhausted);
-                return;
+        let [a, b] = &flashes;
+        let spare = [a.clone(), b.clone()];
+        let kept = PersistentClock::open(flashes, REGION, &lasting.keys, || timer.get());
+        let kept = kept
+            .expect("a mark for each key")
+            .drifting(input.drift.into());
+        for slot in [KeySlot::A, KeySlot::B] {
+            if lasting.keys.key(slot).is_some() {
+                let used = lasting.used(slot);
+                for last in [used.given, used.accepted].into_iter().flatten() {
+                    // All timestamps of the key are used up: there is no floor above the last one.
+                    if last == Timestamp::MAX {
+                        return;
+                    }
+                    assert!(kept.floor(slot) > last, "used before");
+                }
             }
-        };
-        for last in [used.given, used.accepted].into_iter().flatten() {
-            assert!(kept.floor() > last, "used before");
         }
+        // Neither knows of the mark.
+        let fresh = |_| ReplayGuard::new(LINK_IDS[1], MINUTE);
+        let slots = [KeySlot::A, KeySlot::B];
         let mut end = Run {
-            stamper: kept.stamper(LINK_IDS[0]),
-            receiver: ReplayGuard::resume(LINK_IDS[1], Window::ONE_MINUTE, kept.floor()),
+            stampers: slots.map(|slot| Stamper::new(LINK_IDS[0]).in_slot(slot)),
+            receivers: slots.map(fresh),
             kept,
             bounded: 0,
         };
@@ -107,67 +143,83 @@ pub fn kept_link(input: End) {
                 n => 1 << (n - 1),
             };
             timer.set(timer.get() + wait);
-            if happening.kind % 8 == 7 {
+            if happening.kind % 12 == 7 {
                 break happening;
             }
-            end.happens(happening, &mut used);
+            end.happens(happening, &mut lasting);
         };
-        flash = end.kept.into_flash();
-        flash.restart();
-        if start.after > 0 {
-            flash.cut_after(u32::from(start.after.unsigned_abs()) - 1);
+        let [a, b] = end.kept.into_flashes();
+        let [was_a, was_b] = spare;
+        flashes = [a.unwrap_or(was_a), b.unwrap_or(was_b)];
+        for flash in &mut flashes {
+            flash.restart();
+            if start.after > 0 {
+                flash.cut_after(u32::from(start.after.unsigned_abs()) - 1);
+            }
         }
     }
 }
 
-/// A flash whose mark lies above `last`, as if that had been used.
-fn begin_at(flash: Flash<2>, last: Timestamp, used: &mut Used) -> Flash<2> {
-    let mut mark = HighWaterMark::open(flash, REGION).expect("the region fits");
-    match mark.reserve(last.ticks(), 0) {
-        Ok(()) => used.given = Some(last),
-        Err(error) => assert_eq!(error, ReserveError::Store(StoreError::Exhausted)),
-    }
-    mark.into_flash()
+/// Brings the mark of the first key above `last`, as if that had been used.
+fn begin_at(flash: &mut Flash<2>, last: Timestamp, lasting: &mut Lasting) {
+    let binding = Binding::new(1, key(FIRST).fingerprint().0);
+    let mut mark = HighWaterMark::open(flash, REGION, binding).expect("it was provided");
+    mark.reserve(last.ticks(), 0).expect("stored");
+    lasting.used_mut(KeySlot::A).given = Some(last);
 }
 
-/// Writes a mark of 0 into the first place, as the record with this number.
-fn write_record(flash: &mut Flash<2>, number: u32) {
-    let mut record = [0; 16];
-    record[8..12].copy_from_slice(&number.to_le_bytes());
-    let checksum = Crc::<u32>::new(&CRC_32_ISO_HDLC).checksum(&record[..12]);
-    record[12..].copy_from_slice(&checksum.to_le_bytes());
-    flash.write(0, &record).expect("the flash is new");
+impl Lasting {
+    fn used_mut(&mut self, slot: KeySlot) -> &mut Used {
+        self.used.entry(*slot.of(&self.numbers)).or_default()
+    }
+
+    fn used(&mut self, slot: KeySlot) -> Used {
+        *self.used_mut(slot)
+    }
 }
 
 /// The end between two starts.
 struct Run<T> {
     kept: PersistentClock<Flash<2>, T>,
-    stamper: Stamper,
-    receiver: ReplayGuard,
-    /// Ticks that sources have moved it that are not trusted, since one was that is.
+    stampers: [Stamper; 2],
+    receivers: [ReplayGuard; 2],
+    /// Ticks that sources have moved it that are not trusted, since it was set or began.
     bounded: u64,
 }
 
 impl<T: FnMut() -> u64> Run<T> {
-    fn happens(&mut self, happening: &Happening, used: &mut Used) {
+    fn happens(&mut self, happening: &Happening, lasting: &mut Lasting) {
         let before = self.kept.now();
         let time = move_by(jump(before, happening.jump), happening.after.into());
-        match happening.kind % 8 {
+        let signing = lasting.keys.signing_slot();
+        let kind = happening.kind % 12;
+        let slot = if kind < 10 { signing } else { signing.other() };
+        match kind {
             1 => self.told(before, time),
             2 => self.moved(before, time),
             3 => {
                 shown(time);
                 self.moved(before, time);
             }
-            4 => self.sends(before, used),
-            5 => self.hears(before, time, used),
-            6 => self.hears(before, used.accepted.unwrap_or(time), used),
+            4 => self.sends(before, lasting),
+            5 | 10 => self.hears(slot, before, time, lasting),
+            6 | 11 => {
+                let again = lasting.used(slot).accepted.unwrap_or(time);
+                self.hears(slot, before, again, lasting);
+            }
+            8 => self.is_given_a_key(before, time, lasting),
+            9 => {
+                let Lasting { keys, memory, .. } = lasting;
+                let _ = keys.confirm(memory);
+                let _ = keys.retire(memory);
+            }
             _ => {}
         }
     }
 
     fn told(&mut self, before: Timestamp, time: Timestamp) {
         let told = self.kept.update(TimeSource::Trusted, time);
+        assert!(told.is_err() || time <= Clock::CEILING);
         if told.is_err() || time == Timestamp::ZERO {
             assert_eq!(self.kept.now(), before);
             return;
@@ -185,50 +237,111 @@ impl<T: FnMut() -> u64> Run<T> {
         assert_eq!(self.kept.now(), before.saturating_add(step));
         assert_eq!(self.kept.sync(), sync);
         assert!(step <= time.ticks_since(before));
+        assert!(step == 0 || time <= Clock::CEILING);
         self.bounded += step;
         assert!(self.bounded <= Clock::MAX_BOUNDED_STEP);
     }
 
-    fn sends(&mut self, before: Timestamp, used: &mut Used) {
-        let stamp = self.kept.stamp(&mut self.stamper);
+    fn sends(&mut self, before: Timestamp, lasting: &mut Lasting) {
+        let slot = lasting.keys.signing_slot();
+        let floor = self.kept.floor(slot);
+        let stamp = self.kept.stamp(slot.of_mut(&mut self.stampers));
         let reason = stamp.err().map(RejectReason::from);
         assert_ne!(reason, Some(RejectReason::Other));
         let Ok(Stamp { link_id, timestamp }) = stamp else {
             return;
         };
         assert_eq!(link_id, LINK_IDS[0]);
-        assert!(timestamp >= before);
-        let last = used.given.replace(timestamp);
+        assert!(timestamp >= before.max(floor));
+        let last = lasting.used_mut(slot).given.replace(timestamp);
         assert!(last.is_none_or(|last| timestamp > last), "given twice");
     }
 
-    fn hears(&mut self, before: Timestamp, timestamp: Timestamp, used: &mut Used) {
+    /// A frame that is signed with the key in `slot`, if there is one.
+    fn hears(
+        &mut self,
+        slot: KeySlot,
+        before: Timestamp,
+        timestamp: Timestamp,
+        lasting: &mut Lasting,
+    ) {
         let link_id = LINK_IDS[1];
-        let frame = signed(&KEY, Stamp { link_id, timestamp });
+        if lasting.keys.key(slot).is_none() {
+            return;
+        }
+        let key = key(*slot.of(&lasting.numbers));
+        let frame = signed(&key, Stamp { link_id, timestamp });
         let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
-        let authentic = authenticate(frame, &*KEY).expect("signed with this key");
-        let (sync, last, minute) = (self.kept.sync(), self.receiver.last(), Window::ONE_MINUTE);
-        let verdict = self.kept.admit(&mut self.receiver, authentic).map(drop);
-        let reason = verdict.err().map(RejectReason::from);
+        let authentic = lasting.keys.authenticate(frame).expect("one of its keys");
+        let used = authentic.key();
+        assert_eq!(used.slot, slot);
+        let (sync, floor) = (self.kept.sync(), self.kept.floor(slot));
+        let lasts = |run: &Self| run.receivers.each_ref().map(ReplayGuard::last);
+        let untouched = lasts(self);
+        let receiver = slot.of_mut(&mut self.receivers);
+        let verdict = self.kept.admit(receiver, authentic);
+        let reason = verdict
+            .as_ref()
+            .err()
+            .map(|error| RejectReason::from(*error));
         assert_ne!(reason, Some(RejectReason::Other));
         let after = self.kept.now();
         let off = before.ticks().abs_diff(timestamp.ticks());
-        if verdict.is_err() {
-            assert_eq!((self.receiver.last(), after), (last, before));
-        } else {
-            let last = used.accepted.replace(timestamp);
+        if let Ok(verified) = &verdict {
+            lasting.keys.on_accepted(verified);
+            assert!(timestamp >= floor);
+            let last = lasting.used_mut(slot).accepted.replace(timestamp);
             assert!(last.is_none_or(|last| timestamp > last), "accepted twice");
             let behind = after.ticks().abs_diff(timestamp.ticks());
             match sync {
-                SyncState::Synced => assert!(off <= minute.past.max(minute.ahead)),
-                SyncState::Unsynced => assert!(behind <= RESERVATION),
+                _ if used.former => assert!(after == before && off <= MINUTE.past),
+                SyncState::Synced => assert!(off <= MINUTE.past),
+                SyncState::Unsynced => {
+                    assert!(behind <= RESERVATION);
+                    assert!(timestamp <= Clock::CEILING.saturating_add(MINUTE.ahead));
+                }
             }
+        } else {
+            assert_eq!((lasts(self), after), (untouched, before));
         }
         assert_eq!(self.kept.sync(), sync);
-        if sync == SyncState::Synced && off > minute.past {
+        if (sync == SyncState::Synced || used.former) && off > MINUTE.past {
             let rejected = [VerifyError::FromFuture, VerifyError::TooOld];
             assert!(verdict.is_err_and(|error| rejected.contains(&error)));
         }
+    }
+
+    /// Takes over a new key, as a relay does with one that came in: its order of stamps begins at `initial`, if that may
+    /// be right. So does a clock that does not know the time.
+    fn is_given_a_key(&mut self, before: Timestamp, initial: Timestamp, lasting: &mut Lasting) {
+        let number = lasting
+            .numbers
+            .into_iter()
+            .max()
+            .map_or(FIRST, |last| last + 1);
+        if lasting.keys.rollover_state() != RolloverState::Settled || number > 200 {
+            return;
+        }
+        let new = key(number);
+        let slot = lasting.keys.slot_for(&new).expect("another key");
+        let (sync, kept) = (self.kept.sync(), self.kept.floor(slot.other()));
+        let begun = self.kept.begin_key(slot, new.fingerprint(), initial);
+        assert_eq!(self.kept.floor(slot.other()), kept, "the other key's");
+        assert_eq!(self.kept.sync(), sync);
+        let Ok(first) = begun else {
+            assert_eq!(self.kept.now(), before);
+            return;
+        };
+        assert_eq!(self.kept.floor(slot), first);
+        let plausible = (Clock::RELEASE..=Clock::CEILING).contains(&initial);
+        let anew = plausible && sync == SyncState::Unsynced;
+        assert_eq!(self.kept.now(), if anew { initial } else { before });
+        self.bounded = if anew { 0 } else { self.bounded };
+        *slot.of_mut(&mut self.stampers) = Stamper::resume(LINK_IDS[0], first).in_slot(slot);
+        *slot.of_mut(&mut self.receivers) = ReplayGuard::resume(LINK_IDS[1], MINUTE, first);
+        *slot.of_mut(&mut lasting.numbers) = number;
+        let Lasting { keys, memory, .. } = lasting;
+        keys.apply(&keys::bytes(number), memory).expect("stored");
     }
 }
 

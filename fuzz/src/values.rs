@@ -2,7 +2,8 @@
 
 use arbitrary::Arbitrary;
 use mavlink_signing::{
-    Hmac, KEY_SIZE, KeyError, MessageId, Profile, SigningKey, Stamp, Timestamp, passphrase_key,
+    Hmac, KEY_SIZE, KeyError, KeySlot, KeyUse, MessageId, Profile, SigningKey, Stamp, Timestamp,
+    passphrase_key,
 };
 use mavseal_proofs::keeper::{self, Model};
 use mavseal_proofs::{checksum, replay, stamp, table};
@@ -33,6 +34,12 @@ pub fn diff_hmac(input: Keyed<'_>) {
         Ok([0, rest @ ..]) if rest.iter().all(|byte| *byte == 0) => {
             assert_eq!(made.as_ref().err(), Some(&KeyError::AllZero));
         }
+        Ok([0xFF, rest @ ..]) if rest.iter().all(|byte| *byte == 0xFF) => {
+            assert_eq!(made.as_ref().err(), Some(&KeyError::Erased));
+        }
+        Ok(key) if *key == hmac_sha256::Hash::hash(b"") => {
+            assert_eq!(made.as_ref().err(), Some(&KeyError::EmptyPassphrase));
+        }
         Ok(key) => {
             assert!(made.is_ok());
             let expected = hmac_sha256::HMAC::mac(message, key);
@@ -42,9 +49,10 @@ pub fn diff_hmac(input: Keyed<'_>) {
     if let Ok(passphrase) = str::from_utf8(message) {
         let key = passphrase_key(passphrase);
         assert_eq!(key, hmac_sha256::Hash::hash(message));
-        let made = SigningKey::<Hmac>::from_passphrase(passphrase).expect("not zeros");
-        let same = SigningKey::<Hmac>::new(&key).expect("not zeros");
-        assert_eq!(made.fingerprint(), same.fingerprint());
+        let made = SigningKey::<Hmac>::from_passphrase(passphrase).map(|key| key.fingerprint());
+        let same = SigningKey::<Hmac>::new(&key).map(|key| key.fingerprint());
+        assert_eq!(made, same);
+        assert_eq!(made.is_err(), passphrase.is_empty());
     }
 }
 
@@ -73,7 +81,7 @@ pub fn checksum_table(input: Checked<'_>) {
     let _ = table::found_if_there(id);
 }
 
-/// A sender and a receiver, each in the state that it was resumed in, and two moments.
+/// A sender and a receiver, each in the state that it was resumed in, two moments, and what is kept over a restart.
 #[derive(Arbitrary, Clone, Copy, Debug)]
 pub struct Clocks {
     /// The moments.
@@ -84,12 +92,12 @@ pub struct Clocks {
     pub receiver: Receiver,
     /// Another stamp that comes after a restart.
     pub earlier: Stamped,
-    /// The mark that is stored.
-    pub mark: Moment,
+    /// The marks that are stored for the keys in both slots, and the first timestamps that may be used.
+    pub slots: [[Moment; 2]; 2],
     /// How many ticks ahead a mark is stored.
     pub ahead: u16,
-    /// The memory does not store.
-    pub broken: bool,
+    /// Bits: the memory does not store; the clock follows frames; the key is in the second slot; it is a former one.
+    pub flags: u8,
 }
 
 /// Two stamps of a sender (T1), and one step of a receiver that is given the mark (R1); both with a memory
@@ -105,18 +113,24 @@ pub fn stamps(input: Clocks) {
     let Stamped { link_id, moment } = input.sender;
     let _ = stamp::two_stamps(link_id, moment.timestamp(), now);
     let _ = replay::step(&KEY, input.receiver.into(), input.sender.into(), now[0]);
+    let flag = |bit: u8| input.flags >> bit & 1 == 1;
+    let [marks, floors] = input.slots.map(|both| both.map(Moment::timestamp));
     let memory = Model {
         now: now[0],
-        mark: input.mark.timestamp().ticks(),
+        follows: flag(1),
+        marks: marks.map(Timestamp::ticks),
+        floors,
         ahead: input.ahead.into(),
-        broken: input.broken,
+        broken: flag(0),
         heard: 0,
     };
-    let mark = |keeper: &Model| keeper.mark;
-    let _ = keeper::stamps(moment.timestamp(), &mut memory.clone(), mark, now[1]);
-    let (receiver, stamps) = (
-        input.receiver.into(),
-        [input.sender, input.earlier].map(Stamp::from),
-    );
-    let _ = keeper::accepts(&KEY, receiver, memory, stamps[0], stamps[1], now[1]);
+    let slot = [KeySlot::A, KeySlot::B][usize::from(flag(2))];
+    let _ = keeper::stamps(slot, moment.timestamp(), &mut { memory }, now[1]);
+    let stamps = [input.sender, input.earlier].map(Stamp::from);
+    let used = KeyUse {
+        slot,
+        former: flag(3),
+    };
+    let receiver = input.receiver.into();
+    let _ = keeper::accepts::<Hmac>(used, receiver, memory, stamps[0], stamps[1], now[1]);
 }

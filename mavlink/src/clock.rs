@@ -225,6 +225,14 @@ impl Clock {
         }
     }
 
+    /// The newest key came again, with `initial` as the time now: a clock that is not synced shows it at least, if it
+    /// [may be right](Clock::is_plausible).
+    pub fn raise(&mut self, initial: Timestamp, timer: u64) {
+        if initial > self.now(timer) {
+            self.begin(initial, timer);
+        }
+    }
+
     const fn restart(&mut self, time: Timestamp, timer: u64) {
         let (drift, ceiling) = (self.drift, self.ceiling);
         *self = Self::unsynced(time, timer).drifting(drift).until(ceiling);
@@ -277,6 +285,25 @@ impl Clock {
                 self.since = timer;
             }
         }
+    }
+}
+
+#[cfg(kani)]
+#[cfg_attr(test, mutants::skip)]
+impl Clock {
+    /// For proofs: anchored there, set then by a trusted source or not, and moved so far since by bounded sources and by
+    /// peers.
+    #[must_use]
+    pub const fn holding(
+        mut self,
+        anchor: (Timestamp, u64),
+        set: (u64, bool),
+        moved: [u64; 2],
+    ) -> Self {
+        (self.anchor, self.anchored) = anchor;
+        (self.set, self.synced) = set;
+        [self.stepped, self.slewed] = moved;
+        self
     }
 }
 

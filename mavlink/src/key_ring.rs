@@ -327,6 +327,12 @@ impl<P: Profile> KeyRing<P> {
         begins.then_some(self.base.other())
     }
 
+    /// Whether `key` is the one that was given last.
+    #[must_use]
+    pub fn is_newest(&self, key: &SigningKey<P>) -> bool {
+        same(key, self.new.as_ref().unwrap_or(&self.old))
+    }
+
     /// Begins to change to `key`, before it is sent to the other end. A key that is already offered can be
     /// offered again, since SETUP_SIGNING may be lost.
     ///
@@ -339,7 +345,7 @@ impl<P: Profile> KeyRing<P> {
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
         let new = Self::prepare(key)?;
-        if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+        if self.is_newest(&new) {
             return Ok(());
         }
         if self.phase != RolloverState::Settled {
@@ -369,7 +375,7 @@ impl<P: Profile> KeyRing<P> {
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
         let new = Self::prepare(key)?;
-        if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+        if self.is_newest(&new) {
             // Otherwise two ends that were both told to offer it would wait for each other.
             if self.phase == RolloverState::Offered {
                 store.store(KeyChange::Begin(key, RolloverState::Applied))?;

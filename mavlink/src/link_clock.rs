@@ -62,6 +62,11 @@ pub trait LinkClock {
         Ok(initial)
     }
 
+    /// The newest key came again, with `initial` as the time: a clock that nobody has told the time shows it at least.
+    fn repeat_key(&mut self, initial: Timestamp) {
+        let _ = initial;
+    }
+
     /// Learns from a frame that was accepted.
     fn on_accepted(&mut self, frame: &Verified<'_>) {
         let _ = frame;

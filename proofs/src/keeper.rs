@@ -1,20 +1,26 @@
-//! T1 and R3 over a restart: what was used before it is not used after it.
+//! T1 and R3 over a restart: what was used before it is not used after it, of the key in either slot.
 
 use mavlink_signing::{
-    AntiReplay, Authentic, Frame, FrameRef, Header, LinkClock, Links, NotStored, Profile,
-    ReplayGuard, SignError, SigningKey, Stamp, Stamper, StreamTable, Timestamp, VerifyError,
-    Window, authenticate, sign_frame,
+    AntiReplay, Authentic, Authenticate, Frame, FrameRef, KeySlot, KeyUse, LinkClock, Links,
+    NotStored, Profile, ReplayGuard, SignError, SigningKey, Stamp, Stamper, StreamTable, Timestamp,
+    VerifyError, Window, authenticate, sign_frame,
 };
 
-use crate::model::Resumed;
+use crate::key_memory::{self, FIRST, ring};
+use crate::model::{HEARTBEAT, Resumed};
 
-/// A keeper whose memory is one number. T2 says that the one in flash is as good.
+/// A keeper whose memory is one number for each slot. T2 says that one in flash is as good.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Model {
     /// What the clock shows.
     pub now: Timestamp,
-    /// The stored mark: above everything that was ever used. One more than [`Timestamp::MAX`] is the last.
-    pub mark: u64,
+    /// Whether it follows frames, as a clock does that nobody has set.
+    pub follows: bool,
+    /// The stored marks: above everything that was ever used under the key in a slot. One more than
+    /// [`Timestamp::MAX`] is the last.
+    pub marks: [u64; 2],
+    /// The first timestamp of each slot that may be used.
+    pub floors: [Timestamp; 2],
     /// How far ahead a mark is stored.
     pub ahead: u32,
     /// The memory does not store.
@@ -32,14 +38,23 @@ impl LinkClock for Model {
         self.now.ticks()
     }
 
-    fn reserve(&mut self, stamp: Timestamp) -> Result<(), NotStored> {
-        if stamp.ticks() < self.mark {
+    fn reference_time(&mut self, stamp: Timestamp) -> Timestamp {
+        if self.follows { stamp } else { self.now }
+    }
+
+    fn floor(&self, slot: KeySlot) -> Timestamp {
+        *slot.of(&self.floors)
+    }
+
+    fn reserve(&mut self, slot: KeySlot, stamp: Timestamp) -> Result<(), NotStored> {
+        let mark = slot.of_mut(&mut self.marks);
+        if stamp.ticks() < *mark {
             return Ok(());
         }
         if self.broken {
             return Err(NotStored);
         }
-        self.mark = stamp.ticks() + 1 + u64::from(self.ahead);
+        *mark = stamp.ticks() + 1 + u64::from(self.ahead);
         Ok(())
     }
 
@@ -49,15 +64,27 @@ impl LinkClock for Model {
 }
 
 impl Model {
-    /// Where everything begins after a restart; `None` if nothing is left.
-    fn floor(&self) -> Option<Timestamp> {
-        Timestamp::from_ticks(self.mark)
+    /// Above everything that was used under the key in `slot`.
+    #[must_use]
+    pub const fn mark(&self, slot: KeySlot) -> u64 {
+        *slot.of(&self.marks)
+    }
+
+    /// The same after a restart, when the clock shows `now`; `None` if the slot has no timestamp left.
+    fn restarted(self, slot: KeySlot, now: Timestamp) -> Option<Self> {
+        let mut floors = [Timestamp::MAX; 2];
+        *slot.of_mut(&mut floors) = Timestamp::from_ticks(self.mark(slot))?;
+        Some(Self {
+            now,
+            floors,
+            ..self
+        })
     }
 }
 
-/// T1, over a restart, from any state: a stamp is given only with a mark above it stored. Every stamp
-/// after a restart is greater, whatever the clock shows then. When the mark cannot be stored, none is
-/// given and nothing has changed.
+/// T1, over a restart, from any state: a stamp is given only with a mark above it stored, of the key that it is for, and
+/// none below that key's floor. Every stamp after a restart is greater, whatever the clock shows then. When the mark
+/// cannot be stored, none is given and nothing has changed.
 ///
 /// # Errors
 ///
@@ -66,40 +93,48 @@ impl Model {
 /// # Panics
 ///
 /// If the property does not hold.
-pub fn stamps<K: LinkClock>(
+pub fn stamps(
+    slot: KeySlot,
     first: Timestamp,
-    keeper: &mut K,
-    mark: impl Fn(&K) -> u64,
+    keeper: &mut Model,
     after: Timestamp,
 ) -> Result<(), SignError> {
-    let mut stamper = Stamper::resume(1, first);
-    let (before, now) = (mark(keeper), keeper.now());
+    let resumed = || Stamper::resume(1, first).in_slot(slot);
+    let mut stamper = resumed();
+    let before = *keeper;
     let given = keeper.stamp(&mut stamper);
+    let other = slot.other();
+    assert_eq!(keeper.mark(other), before.mark(other), "another key's");
     match given {
         Ok(stamp) => {
-            assert!(stamp.timestamp >= first.max(now));
+            let expected = first.max(before.now).max(before.floor(slot));
+            assert_eq!(stamp.timestamp, expected);
             assert_eq!(stamp.link_id, 1);
-            assert!(mark(keeper) > stamp.timestamp.ticks());
-            if let Some(floor) = Timestamp::from_ticks(mark(keeper)) {
-                let mut restarted = Stamper::resume(1, floor);
-                let next = restarted.stamp(after).expect("the first is never rejected");
+            assert!(keeper.mark(slot) > stamp.timestamp.ticks());
+            if let Some(mut restarted) = keeper.restarted(slot, after) {
+                restarted.broken = false;
+                let mut stamper = Stamper::new(1).in_slot(slot);
+                let next = restarted.stamp(&mut stamper);
+                let next = next.expect("the first is never rejected");
                 assert!(next.timestamp > stamp.timestamp);
             }
             Ok(())
         }
         Err(error) => {
             assert_eq!(error, SignError::NotStored);
-            assert_eq!(stamper, Stamper::resume(1, first));
-            assert_eq!(mark(keeper), before);
+            assert_eq!(stamper, resumed());
+            assert_eq!(*keeper, before);
             Err(error)
         }
     }
 }
 
-/// R3, one step from any state: a frame is accepted only with a mark above its stamp stored. A receiver
-/// that starts at the mark, of one stream or of many, rejects it and everything before it. That holds
-/// for this stream and for new ones. What is rejected stores nothing and changes nothing. A frame that
-/// cannot be remembered is rejected.
+/// R3, one step from any state: a frame is accepted only with a mark above its stamp stored, of the key that it was
+/// signed with, and none below that key's floor. A receiver that starts at the mark, of one stream or of many, rejects
+/// it and everything before it. That holds for this stream and for new ones. What is rejected stores nothing and
+/// changes nothing. A frame that cannot be remembered is rejected.
+///
+/// A frame of a former key neither follows the clock nor sets it: it is compared with the time as it is.
 ///
 /// # Errors
 ///
@@ -109,54 +144,63 @@ pub fn stamps<K: LinkClock>(
 ///
 /// If the property does not hold.
 pub fn accepts<P: Profile>(
-    key: &SigningKey<P>,
+    used: KeyUse,
     before: Resumed,
     mut keeper: Model,
     stamp: Stamp,
     earlier: Stamp,
     after: Timestamp,
 ) -> Result<(), VerifyError> {
+    let key = &key_memory::key::<P>(FIRST);
+    let keys = ring::<P>(used);
+    let slot = used.slot;
     let mut receiver = before.replay();
     let untouched = keeper;
     let frame = signed(key, stamp);
-    let verdict = keeper
-        .admit(&mut receiver, authentic(&frame, key))
-        .map(drop);
-    match verdict {
-        Ok(()) => {
-            assert!(keeper.mark > stamp.timestamp.ticks());
-            assert!(keeper.mark >= untouched.mark);
-            assert_eq!(keeper.heard, untouched.heard + 1);
-            assert_eq!(receiver.last(), Some(stamp.timestamp));
-        }
-        Err(error) => {
-            assert_eq!(receiver, before.replay());
-            assert_eq!(keeper, untouched);
-            let rejected = before.replay().check(&authentic(&frame, key), keeper.now);
-            if error == VerifyError::NotStored {
-                assert!(keeper.broken && rejected.is_ok());
-            } else {
-                assert_eq!(rejected, Err(error));
-            }
-            return Err(error);
-        }
+    let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
+    let frame_of_key = keys.authenticate(received).expect("signed with this key");
+    assert_eq!(frame_of_key.key(), used);
+    let verdict = keeper.admit(&mut receiver, frame_of_key).map(drop);
+
+    let now = if keeper.follows && !used.former {
+        stamp.timestamp
+    } else {
+        keeper.now
+    };
+    let in_order = before.replay().check(&authentic(&frame, key), now);
+    let covered = stamp.timestamp.ticks() < untouched.mark(slot);
+    let expected = match in_order {
+        Err(error) => Err(error),
+        Ok(()) if stamp.timestamp < untouched.floor(slot) => Err(VerifyError::Replayed),
+        Ok(()) if keeper.broken && !covered => Err(VerifyError::NotStored),
+        Ok(()) => Ok(()),
+    };
+    assert_eq!(verdict, expected);
+    if let Err(error) = verdict {
+        assert_eq!(receiver, before.replay());
+        assert_eq!(keeper, untouched);
+        return Err(error);
     }
-    let Some(floor) = keeper.floor() else {
+    assert!(keeper.mark(slot) > stamp.timestamp.ticks());
+    assert!(keeper.mark(slot) >= untouched.mark(slot));
+    assert_eq!(keeper.mark(slot.other()), untouched.mark(slot.other()));
+    assert_eq!(keeper.heard, untouched.heard + u8::from(!used.former));
+    assert_eq!(receiver.last(), Some(stamp.timestamp));
+    let Some(restarted) = keeper.restarted(slot, after) else {
         return Ok(());
     };
-    // After a restart, with whatever clock and window: it, and what is not newer than it, comes again.
-    for stamp in [stamp, earlier] {
-        if stamp.timestamp <= frame_stamp(&frame) {
-            let again = signed(key, stamp);
-            let window = Window {
-                past: u64::MAX,
-                ahead: u64::MAX,
-            };
-            let replay = ReplayGuard::resume(stamp.link_id, window, floor);
-            rejects(replay, authentic(&again, key), after);
-            let streams = StreamTable::<1>::resume(Links::Any, window, floor);
-            rejects(streams, authentic(&again, key), after);
-        }
+    let floor = restarted.floor(slot);
+    // After a restart, with whatever clock and window: it, or what is not newer than it, comes again.
+    if earlier.timestamp <= stamp.timestamp {
+        let frame = signed(key, earlier);
+        let window = Window {
+            past: u64::MAX,
+            ahead: u64::MAX,
+        };
+        let replay = ReplayGuard::resume(earlier.link_id, window, floor);
+        rejects(replay, authentic(&frame, key), after);
+        let streams = StreamTable::<1>::resume(Links::Any, window, floor);
+        rejects(streams, authentic(&frame, key), after);
     }
     Ok(())
 }
@@ -167,11 +211,7 @@ fn rejects(mut receiver: impl AntiReplay, frame: Authentic<'_>, now: Timestamp) 
 }
 
 fn signed<P: Profile>(key: &SigningKey<P>, stamp: Stamp) -> Frame {
-    let header = Header {
-        system_id: stamp.link_id,
-        ..crate::model::HEARTBEAT
-    };
-    let mut frame = Frame::new(header, &[]).expect("in every dialect");
+    let mut frame = Frame::new(HEARTBEAT, &[]).expect("in every dialect");
     sign_frame(&mut frame, key, stamp).expect("not signed yet");
     frame
 }
@@ -179,11 +219,6 @@ fn signed<P: Profile>(key: &SigningKey<P>, stamp: Stamp) -> Frame {
 fn authentic<'a, P: Profile>(frame: &'a Frame, key: &SigningKey<P>) -> Authentic<'a> {
     let received = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
     authenticate(received, key).expect("signed with this key")
-}
-
-fn frame_stamp(frame: &Frame) -> Timestamp {
-    let frame = FrameRef::parse(frame.as_bytes()).expect("a whole frame");
-    frame.signature().expect("signed").stamp.timestamp
 }
 
 #[cfg(test)]
@@ -196,10 +231,16 @@ mod tests {
         Timestamp::from_ticks(ticks).expect("48 bits")
     }
 
-    fn model(now: u64, mark: u64, ahead: u8, broken: bool) -> Model {
+    const fn slot(b: bool) -> KeySlot {
+        if b { KeySlot::B } else { KeySlot::A }
+    }
+
+    fn model(now: u64, marks: [u64; 2], floors: [u64; 2], ahead: u8, broken: bool) -> Model {
         Model {
             now: at(now),
-            mark,
+            follows: false,
+            marks,
+            floors: floors.map(at),
             ahead: ahead.into(),
             broken,
             heard: 0,
@@ -210,16 +251,20 @@ mod tests {
         #[test]
         fn t1_restart_random(
             times: [u8; 3],
-            mark: u8,
+            marks: [u8; 2],
+            floors: [u8; 2],
             ahead: u8,
             broken: bool,
             late: bool,
+            b: bool,
         ) {
             let base = if late { Timestamp::MAX.ticks() - 255 } else { 0 };
             let [first, now, after] = times.map(|ticks| base + u64::from(ticks));
-            let mut keeper = model(now, base + u64::from(mark), ahead, broken);
-            let given = stamps(at(first), &mut keeper, |keeper| keeper.mark, at(after));
-            let needed = now.max(first) >= base + u64::from(mark);
+            let [marks, floors] = [marks, floors].map(|all| all.map(|it| base + u64::from(it)));
+            let mut keeper = model(now, marks, floors, ahead, broken);
+            let slot = slot(b);
+            let given = stamps(slot, at(first), &mut keeper, at(after));
+            let needed = now.max(first).max(*slot.of(&floors)) >= *slot.of(&marks);
             prop_assert_eq!(given.is_err(), broken && needed);
         }
 
@@ -227,53 +272,66 @@ mod tests {
         fn r3_random(
             times: [u8; 4],
             links in [1..3_u8, 1..3_u8],
-            mark: u8,
+            marks: [u8; 2],
+            floors: [u8; 2],
             ahead: u8,
-            broken: bool,
-            late: bool,
+            flags: [bool; 5],
         ) {
+            let [broken, late, follows, b, former] = flags;
             let base = if late { Timestamp::MAX.ticks() - 255 } else { 0 };
             let [first, now, stamp, earlier] = times.map(|ticks| base + u64::from(ticks));
-            let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
             let window = Window { past: 100, ahead: 100 };
             let before = Resumed { link_id: 1, window, first: at(first) };
             let [stamp, earlier] = [(links[0], stamp), (links[1], earlier)]
                 .map(|(link_id, ticks)| Stamp { link_id, timestamp: at(ticks) });
-            let keeper = model(now, base + u64::from(mark), ahead, broken);
-            let _ = accepts(&key, before, keeper, stamp, earlier, at(now));
+            // Below the floors there is little.
+            let floors = floors.map(|it| base + u64::from(it / 4));
+            let marks = marks.map(|it| base + u64::from(it));
+            let keeper = Model { follows, ..model(now, marks, floors, ahead, broken) };
+            let used = KeyUse { slot: slot(b), former };
+            for earlier in [stamp, earlier] {
+                let _ = accepts::<Hmac>(used, before, keeper, stamp, earlier, at(now));
+            }
         }
     }
 
     #[test]
     fn r3_each_verdict() {
-        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
-        let verdict = |ticks, mark, broken| {
+        let verdict = |ticks, mark, broken, former| {
             let before = Resumed {
                 link_id: 1,
                 window: Window {
                     past: 10,
                     ahead: 10,
                 },
-                first: at(95),
+                first: at(93),
             };
             let stamp = Stamp {
                 link_id: 1,
                 timestamp: at(ticks),
             };
-            accepts(
-                &key,
-                before,
-                model(100, mark, 5, broken),
-                stamp,
-                stamp,
-                at(0),
-            )
+            let keeper = Model {
+                follows: true,
+                ..model(100, [0, mark], [200, 95], 5, broken)
+            };
+            let used = KeyUse {
+                slot: KeySlot::B,
+                former,
+            };
+            accepts::<Hmac>(used, before, keeper, stamp, stamp, at(0))
         };
-        assert_eq!(verdict(100, 0, false), Ok(()));
-        assert_eq!(verdict(100, 101, true), Ok(()));
-        assert_eq!(verdict(100, 100, true), Err(VerifyError::NotStored));
-        assert_eq!(verdict(94, 0, true), Err(VerifyError::Replayed));
-        assert_eq!(verdict(111, 0, true), Err(VerifyError::FromFuture));
+        for former in [false, true] {
+            assert_eq!(verdict(100, 0, false, former), Ok(()));
+            assert_eq!(verdict(100, 101, true, former), Ok(()));
+            let not_stored = Err(VerifyError::NotStored);
+            assert_eq!(verdict(100, 100, true, former), not_stored);
+            let replayed = Err(VerifyError::Replayed);
+            assert_eq!(verdict(92, 0, true, former), replayed);
+            assert_eq!(verdict(94, 0, true, former), replayed, "below the floor");
+        }
+        assert_eq!(verdict(111, 0, false, false), Ok(()), "it is followed");
+        let from_future = Err(VerifyError::FromFuture);
+        assert_eq!(verdict(111, 0, false, true), from_future);
     }
 }
 
@@ -281,14 +339,17 @@ mod tests {
 mod verification {
     use super::*;
     use crate::model::AnyTag;
-    use crate::model::{any_stamp, any_timestamp};
+    use crate::model::{any_slot, any_stamp, any_timestamp};
 
     fn any_model() -> Model {
-        let mark = kani::any();
-        kani::assume(mark <= Timestamp::MAX.ticks() + 1);
+        let marks: [u64; 2] = kani::any();
+        kani::assume(marks[0] <= Timestamp::MAX.ticks() + 1);
+        kani::assume(marks[1] <= Timestamp::MAX.ticks() + 1);
         Model {
             now: any_timestamp(),
-            mark,
+            follows: kani::any(),
+            marks,
+            floors: [any_timestamp(), any_timestamp()],
             ahead: kani::any(),
             broken: kani::any(),
             heard: 0,
@@ -296,30 +357,46 @@ mod verification {
     }
 
     #[kani::proof]
-    #[kani::unwind(9)]
+    #[kani::unwind(33)]
     fn t1_restart() {
         let mut keeper = any_model();
         let before = keeper;
-        let given = stamps(any_timestamp(), &mut keeper, |it| it.mark, any_timestamp());
-        kani::cover!(given.is_ok() && keeper.mark > before.mark, "stored");
+        let slot = any_slot();
+        let given = stamps(slot, any_timestamp(), &mut keeper, any_timestamp());
+        kani::cover!(given.is_ok() && keeper != before, "stored");
         kani::cover!(given.is_ok() && keeper == before, "reserved before");
         kani::cover!(given.is_err(), "not stored");
     }
 
-    #[kani::proof]
-    #[kani::unwind(33)]
-    fn r3_step() {
-        let key = SigningKey::<AnyTag>::new(&[1; 32]).expect("a key");
-        let before = Resumed::any();
-        let keeper = any_model();
+    fn steps(former: bool) {
+        let (before, keeper) = (Resumed::any(), any_model());
+        let slot = any_slot();
+        let used = KeyUse { slot, former };
+        // It may be the same frame again.
         let (stamp, earlier) = (any_stamp(), any_stamp());
-        let verdict = accepts(&key, before, keeper, stamp, earlier, any_timestamp());
-        kani::cover!(verdict.is_ok(), "accepted");
+        let verdict = accepts::<AnyTag>(used, before, keeper, stamp, earlier, any_timestamp());
+        kani::cover!(verdict.is_ok() && earlier == stamp, "the same again");
         kani::cover!(
             verdict.is_ok() && earlier.timestamp < stamp.timestamp,
             "something before it"
         );
         kani::cover!(verdict == Err(VerifyError::NotStored), "not stored");
-        kani::cover!(verdict == Err(VerifyError::Replayed), "replayed");
+        kani::cover!(
+            verdict == Err(VerifyError::Replayed) && stamp.timestamp >= before.first,
+            "below the floor"
+        );
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r3_step() {
+        steps(false);
+    }
+
+    /// Of a key in whose place another is in use.
+    #[kani::proof]
+    #[kani::unwind(33)]
+    fn r3_former() {
+        steps(true);
     }
 }

@@ -1,7 +1,8 @@
 //! Where an end of a link keeps its keys, and a model of it that holds numbers.
 
 use mavlink_signing::{
-    KEY_SIZE, KeyChange, KeyRing, KeyStore, NotStored, Profile, RolloverState, SigningKey,
+    KEY_SIZE, KeyChange, KeyRing, KeySlot, KeyStore, KeyUse, NotStored, Profile, RolloverState,
+    SigningKey,
 };
 
 /// Where an end keeps its keys.
@@ -25,6 +26,7 @@ pub struct Model {
 #[derive(Clone, Copy, Debug)]
 struct Stored {
     phase: RolloverState,
+    base: KeySlot,
     old: u8,
     new: u8,
 }
@@ -36,6 +38,7 @@ impl Model {
         Self {
             stored: Stored {
                 phase: RolloverState::Settled,
+                base: KeySlot::A,
                 old: FIRST,
                 new: FIRST,
             },
@@ -44,18 +47,29 @@ impl Model {
         }
     }
 
-    /// A memory in the middle of a change.
-    pub(crate) const fn holding(phase: RolloverState, old: u8, new: u8) -> Self {
+    /// A memory in the middle of a change, the old key in the slot `base`.
+    pub(crate) const fn holding(phase: RolloverState, base: KeySlot, old: u8, new: u8) -> Self {
         let mut model = Self::new();
-        model.stored = Stored { phase, old, new };
+        model.stored = Stored {
+            phase,
+            base,
+            old,
+            new,
+        };
         model
     }
 
-    /// Phase, old and new key; settled, one key is both.
-    pub(crate) fn stored(&self) -> (RolloverState, u8, u8) {
-        let Stored { phase, old, new } = self.stored;
+    /// Phase, where the old key is, old and new key; settled, one key is both.
+    pub(crate) fn stored(&self) -> (RolloverState, KeySlot, u8, u8) {
+        let Stored {
+            phase,
+            base,
+            old,
+            new,
+        } = self.stored;
         (
             phase,
+            base,
             old,
             if phase == RolloverState::Settled {
                 old
@@ -79,27 +93,33 @@ impl Default for Model {
 
 impl KeyStore for Model {
     fn store(&mut self, change: KeyChange<'_>) -> Result<(), NotStored> {
-        let Stored { phase, old, new } = self.stored;
+        let before = self.stored;
+        let Stored {
+            phase,
+            base,
+            old,
+            new,
+        } = before;
         let next = match change {
             KeyChange::Begin(key, phase) => Stored {
                 phase,
-                old,
                 new: key[0],
+                ..before
             },
             KeyChange::Confirm => Stored {
                 phase: RolloverState::Confirmed,
-                old,
-                new,
+                ..before
             },
             KeyChange::Retire => Stored {
                 phase: RolloverState::Settled,
+                base: base.other(),
                 old: new,
                 new,
             },
             KeyChange::Withdraw => Stored {
                 phase: RolloverState::Settled,
-                old,
                 new: old,
+                ..before
             },
         };
         assert!(phase != RolloverState::Settled || matches!(change, KeyChange::Begin(..)));
@@ -121,8 +141,13 @@ impl Memory for Model {
     fn restart<P: Profile>(&mut self) -> KeyRing<P> {
         self.stored = self.trace.take().unwrap_or(self.stored);
         self.failing = None;
-        let Stored { phase, old, new } = self.stored;
-        KeyRing::resume(key(old), key(new), phase)
+        let Stored {
+            phase,
+            base,
+            old,
+            new,
+        } = self.stored;
+        KeyRing::resume(base, key(old), key(new), phase)
     }
 
     fn fail(&mut self, trace: bool) {
@@ -139,7 +164,17 @@ pub const fn bytes(number: u8) -> [u8; KEY_SIZE] {
     [number; KEY_SIZE]
 }
 
-/// Key `number`.
+/// Key `number`, neither 0 nor 255: zeros, and erased flash.
 pub(crate) fn key<P: Profile>(number: u8) -> SigningKey<P> {
     SigningKey::new(&bytes(number)).expect("not zeros")
+}
+
+/// Keys with which a frame that is signed with the key of number [`FIRST`] is of this use.
+pub(crate) fn ring<P: Profile>(used: KeyUse) -> KeyRing<P> {
+    if used.former {
+        let new = key(FIRST + 1);
+        KeyRing::resume(used.slot, key(FIRST), new, RolloverState::Applied)
+    } else {
+        KeyRing::in_slot(used.slot, key(FIRST))
+    }
 }

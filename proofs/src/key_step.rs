@@ -1,18 +1,20 @@
 //! K1 at one end: what one call does to its keys, from any state of a change.
 
 use mavlink_signing::{
-    Authenticate, Frame, FrameRef, KeyChangeError, KeyRing, Profile, ReplayGuard, RolloverState,
-    SigningKey, Stamp, Timestamp, Window, sign_frame,
+    Authenticate, Frame, FrameRef, KeyChangeError, KeyRing, KeySlot, KeyUse, Profile, ReplayGuard,
+    RolloverState, SigningKey, Stamp, Timestamp, Window, sign_frame,
 };
 
 use crate::key_memory::{Model, bytes, key};
 use crate::model::HEARTBEAT;
 
-/// Keys by their numbers, none of which is 0, which stands for a key of zeros; two different ones.
+/// Keys by their numbers, none of which is 0 or 255, which stand for no key: zeros and erased flash. Two different ones.
 #[derive(Clone, Copy, Debug)]
 pub struct Before {
     /// How far the change has come.
     pub phase: RolloverState,
+    /// Where the key in use before it is.
+    pub base: KeySlot,
     /// The key in use before it.
     pub old: u8,
     /// The new one; without meaning in [`RolloverState::Settled`].
@@ -70,45 +72,79 @@ impl Before {
         }
     }
 
-    /// The state after a call: phase, keys; or why there is none. Nothing is stored if it is the same.
-    fn after(self, call: Call) -> Result<(RolloverState, u8, u8), Rejected> {
+    /// The state after a call: phase, keys, and where the old one is; or why there is none. Nothing is stored if it is
+    /// the same. No key ever moves to the other slot: what becomes the old one has its slot already.
+    fn after(self, call: Call) -> Result<State, Rejected> {
         let Self {
-            phase, old, new, ..
+            phase,
+            base,
+            old,
+            new,
+            ..
         } = self;
-        let same = Ok((phase, old, new));
+        let to = |phase, old, new| Ok((phase, base, old, new));
+        let same = to(phase, old, new);
         let newest = self.second().unwrap_or(old);
         let heard = self.is_due();
         match call {
-            Call::Offer(0) | Call::Apply(0) => Err(Rejected::Key),
+            Call::Offer(0 | 255) | Call::Apply(0 | 255) => Err(Rejected::Key),
             Call::Offer(key) if key == newest => same,
             Call::Offer(key) if phase == RolloverState::Settled => {
-                Ok((RolloverState::Offered, old, key))
+                to(RolloverState::Offered, old, key)
             }
             // Two ends that were both told to offer it would wait for each other.
             Call::Apply(key) if key == newest && phase == RolloverState::Offered => {
-                Ok((RolloverState::Applied, old, new))
+                to(RolloverState::Applied, old, new)
             }
             Call::Apply(key) if key == newest => same,
             Call::Apply(key) if phase == RolloverState::Settled => {
-                Ok((RolloverState::Applied, old, key))
+                to(RolloverState::Applied, old, key)
             }
             Call::Apply(key) if phase == RolloverState::Applied && key == old && !heard => {
-                Ok((RolloverState::Settled, old, old))
+                to(RolloverState::Settled, old, old)
             }
             Call::Offer(_) | Call::Apply(_) => Err(Rejected::UnderWay),
-            Call::Confirm if heard => Ok((RolloverState::Confirmed, old, new)),
+            Call::Confirm if heard => to(RolloverState::Confirmed, old, new),
             Call::Confirm => same,
             Call::Retire if phase == RolloverState::Confirmed => {
-                Ok((RolloverState::Settled, new, new))
+                Ok((RolloverState::Settled, base.other(), new, new))
             }
             Call::Retire => Err(Rejected::NotConfirmed),
             Call::Withdraw if phase == RolloverState::Offered && !heard => {
-                Ok((RolloverState::Settled, old, old))
+                to(RolloverState::Settled, old, old)
             }
             Call::Withdraw => Err(Rejected::NotOffered),
         }
     }
+
+    /// Where the key that it signs with is.
+    fn signing_slot(self) -> KeySlot {
+        if self.signs() == self.old {
+            self.base
+        } else {
+            self.base.other()
+        }
+    }
+
+    /// What a frame that is signed with this key is told by; `None` if it is neither of the two.
+    fn used(self, number: u8) -> Option<KeyUse> {
+        if number == self.old {
+            let former = self.signs() != number;
+            Some(KeyUse {
+                slot: self.base,
+                former,
+            })
+        } else {
+            (self.second() == Some(number)).then_some(KeyUse {
+                slot: self.base.other(),
+                former: false,
+            })
+        }
+    }
 }
+
+/// Phase, where the old key is, the old and the new key. Settled, one key is both.
+type State = (RolloverState, KeySlot, u8, u8);
 
 /// Why a call is rejected whatever the memory does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,7 +159,11 @@ enum Rejected {
 /// What is stored is that state, before it has an effect; if it cannot be stored, or the call is
 /// rejected, nothing changes. In every state the end signs with the old key until it has heard the new
 /// one or was given it. It accepts each key that it may be sent: the old one until it is retired, the
-/// new one until it is given up. A frame under the old key is never taken for one under the new.
+/// new one until it is given up.
+///
+/// Each key has a slot of its own, which it keeps for as long as it is kept. Of a frame it is told which key it was
+/// signed with, and that this is a former one if and only if the end signs with another in its place. So a frame under
+/// the old key is never taken for one under the new. Only of the new key's slot counts as heard.
 ///
 /// `stores` says whether the memory does what it is told.
 ///
@@ -141,18 +181,24 @@ pub fn one_call<P: Profile>(
 ) -> Result<(), KeyChangeError> {
     let Before {
         phase,
+        base,
         old,
         new,
         heard,
     } = before;
-    let mut keys = KeyRing::<P>::resume(key(old), key(new), phase);
+    let mut keys = KeyRing::<P>::resume(base, key(old), key(new), phase);
     match heard {
         Heard::Nothing => {}
         Heard::Old => hears(&mut keys, old),
         Heard::New => hears(&mut keys, new),
     }
     assert_eq!(keys.confirm_pending(), before.is_due());
-    let mut memory = Model::holding(phase, old, new);
+    if let Call::Offer(number @ 1..=254) | Call::Apply(number @ 1..=254) = call {
+        let begins = phase == RolloverState::Settled && number != old;
+        let slot = keys.slot_for(&key(number));
+        assert_eq!(slot, begins.then_some(base.other()));
+    }
+    let mut memory = Model::holding(phase, base, old, new);
     if !stores {
         memory.fails();
     }
@@ -164,34 +210,42 @@ pub fn one_call<P: Profile>(
         Call::Withdraw => keys.withdraw(&mut memory),
     };
 
-    let unchanged = (phase, old, before.second().unwrap_or(old));
+    let unchanged = (phase, base, old, before.second().unwrap_or(old));
     let rule = before.after(call);
     let expected = match rule {
-        Ok(after) if after == (phase, old, new) => (Ok(()), unchanged),
+        Ok(after) if after == (phase, base, old, new) => (Ok(()), unchanged),
         Ok(_) if !stores => (Err(None), unchanged),
         Ok(after) => (Ok(()), after),
         Err(rejected) => (Err(Some(rejected)), unchanged),
     };
     assert_eq!(result.map_err(rejection), expected.0);
-    let (phase, old, new) = expected.1;
+    let (phase, base, old, new) = expected.1;
     assert_eq!(keys.rollover_state(), phase);
-    assert_eq!(memory.stored(), (phase, old, new));
+    assert_eq!(memory.stored(), expected.1);
     let due = matches!(phase, RolloverState::Offered | RolloverState::Applied) && before.is_due();
     assert_eq!(keys.confirm_pending(), due);
     let after = Before {
         phase,
+        base,
         old,
         new,
         heard: Heard::Nothing,
     };
     assert_eq!(signed(keys.signing())[LAST], after.signs());
+    assert_eq!(keys.signing_slot(), after.signing_slot());
+    let there = |slot| keys.key(slot).map(|key| signed(key)[LAST]);
+    assert_eq!(there(base), Some(old));
+    assert_eq!(there(base.other()), after.second());
     let other = match call {
-        Call::Offer(number) | Call::Apply(number) if number != 0 => Some(number),
+        Call::Offer(number @ 1..=254) | Call::Apply(number @ 1..=254) => Some(number),
         _ => None,
     };
     for number in [before.old, before.new].into_iter().chain(other) {
-        let accepted = number == old || number == new;
-        assert_eq!(accepts(&keys, number), accepted);
+        let accepted = accepts(&keys, number);
+        assert_eq!(accepted, after.used(number));
+        if let (Some(used), Some(was)) = (accepted, before.used(number)) {
+            assert_eq!(used.slot, was.slot, "a key keeps its slot");
+        }
     }
     result
 }
@@ -222,10 +276,10 @@ fn signed<P: Profile>(key: &SigningKey<P>) -> [u8; SIZE] {
     *frame.as_bytes().first_chunk().expect("no payload")
 }
 
-fn accepts<P: Profile>(keys: &KeyRing<P>, number: u8) -> bool {
+fn accepts<P: Profile>(keys: &KeyRing<P>, number: u8) -> Option<KeyUse> {
     let bytes = signed(&key::<P>(number));
     let frame = FrameRef::parse(&bytes).expect("a whole frame");
-    keys.authenticate(frame).is_ok()
+    keys.authenticate(frame).ok().map(|frame| frame.key())
 }
 
 fn hears<P: Profile>(keys: &mut KeyRing<P>, number: u8) {
@@ -233,13 +287,16 @@ fn hears<P: Profile>(keys: &mut KeyRing<P>, number: u8) {
     let bytes = signed(&key::<P>(number));
     let frame = FrameRef::parse(&bytes).expect("a whole frame");
     let authentic = keys.authenticate(frame).expect("one of its keys");
+    let used = authentic.key();
     let verified = ReplayGuard::new(1, window).admit(authentic, Timestamp::ZERO);
-    keys.on_accepted(&verified.expect("the first"));
+    let verified = verified.expect("the first");
+    assert_eq!(verified.key(), used);
+    keys.on_accepted(&verified);
 }
 
-/// Every state, with `old` and `new` as they are given.
+/// Every state, with `old` and `new` as they are given, `old` in the slot `base`.
 #[cfg(any(test, kani))]
-fn states(old: u8, new: u8) -> [Before; 11] {
+fn states(base: KeySlot, old: u8, new: u8) -> [Before; 11] {
     use Heard::{New, Nothing, Old};
     use RolloverState::{Applied, Confirmed, Offered, Settled};
     [
@@ -258,6 +315,7 @@ fn states(old: u8, new: u8) -> [Before; 11] {
     ]
     .map(|(phase, heard)| Before {
         phase,
+        base,
         old,
         new,
         heard,
@@ -268,13 +326,15 @@ fn states(old: u8, new: u8) -> [Before; 11] {
 mod tests {
     use super::*;
     use crate::model::AnyTag;
+    use mavlink_signing::{Hmac, KEY_SIZE, KeyError, passphrase_key};
 
     /// Every call in every state; of keys it matters only which are the same.
     #[test]
     fn k1_every_call() {
         let mut rejected = 0;
-        for before in states(1, 2) {
-            for number in 0..=3 {
+        let bases = [KeySlot::A, KeySlot::B];
+        for before in bases.map(|base| states(base, 1, 2)).concat() {
+            for number in [0, 1, 2, 3, 255] {
                 let calls = [
                     Call::Offer(number),
                     Call::Apply(number),
@@ -291,12 +351,37 @@ mod tests {
         }
         assert!(rejected > 0);
     }
+
+    /// What everybody knows is no key to change to, by no call, and is none to keep.
+    #[test]
+    fn k1_no_key_that_everybody_knows() {
+        let known = [
+            (*b"mavseal demo key, not a secret!!", KeyError::Published),
+            (passphrase_key("mavseal-demonstration"), KeyError::Published),
+            (passphrase_key(""), KeyError::EmptyPassphrase),
+            ([0; KEY_SIZE], KeyError::AllZero),
+            ([0xFF; KEY_SIZE], KeyError::Erased),
+        ];
+        for (bytes, error) in known {
+            assert_eq!(KeyRing::<Hmac>::prepare(&bytes).err(), Some(error));
+            let mut keys = KeyRing::from(key::<Hmac>(1));
+            let mut memory = Model::new();
+            for result in [
+                keys.offer(&bytes, &mut memory),
+                keys.apply(&bytes, &mut memory),
+            ] {
+                assert_eq!(result, Err(KeyChangeError::Key(error)));
+                assert_eq!(keys.rollover_state(), RolloverState::Settled);
+            }
+            assert_eq!(memory.stored(), Model::new().stored());
+        }
+    }
 }
 
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::AnyTag;
+    use crate::model::{AnyTag, any_slot};
 
     /// The key that is offered. It may be either of the others. Of keys it matters only which are the
     /// same: one number, known to the solver, is as good as any.
@@ -305,8 +390,8 @@ mod verification {
     /// One call in the state with this number, which is known to the solver.
     fn any_call<const STATE: usize>(call: impl Fn(u8) -> Call) -> Result<(), KeyChangeError> {
         let (old, new): (u8, u8) = (kani::any(), kani::any());
-        kani::assume(old != 0 && new != 0 && old != new);
-        let before = states(old, new)[STATE];
+        kani::assume(old != 0 && old != 255 && new != 0 && new != 255 && old != new);
+        let before = states(any_slot(), old, new)[STATE];
         one_call::<AnyTag>(before, call(NUMBER), kani::any())
     }
 
@@ -361,6 +446,15 @@ mod verification {
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn k1_takes_no_key_of_zeros() {
         let rejected = any_call::<0>(|_| Call::Apply(0));
+        assert!(matches!(rejected, Err(KeyChangeError::Key(_))));
+        kani::cover!(true, "rejected");
+    }
+
+    #[kani::proof]
+    #[kani::unwind(33)]
+    #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
+    fn k1_takes_no_erased_flash() {
+        let rejected = any_call::<0>(|_| Call::Apply(255));
         assert!(matches!(rejected, Err(KeyChangeError::Key(_))));
         kani::cover!(true, "rejected");
     }

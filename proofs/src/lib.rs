@@ -4,6 +4,7 @@
 //! kani`), a test edges and random values (`cargo test`). The third is a fuzz target. The table of
 //! `verification.md` gives each property its id, its bound and its assumptions.
 
+pub mod adversary;
 pub mod checksum;
 pub mod cipher;
 pub mod emit;
@@ -14,6 +15,7 @@ pub mod keeper;
 pub mod key_memory;
 pub mod key_step;
 pub mod keys;
+pub mod leap;
 pub mod link;
 pub mod mark;
 pub mod model;
@@ -24,6 +26,7 @@ pub mod parse;
 pub mod pipes;
 pub mod relay;
 pub mod replay;
+pub mod sealed_end;
 pub mod sealing;
 pub mod setup;
 pub mod sign;

@@ -185,6 +185,16 @@ pub(crate) fn any_timestamp() -> Timestamp {
     Timestamp::from_wire(kani::any())
 }
 
+/// Either place for a key.
+#[cfg(kani)]
+pub(crate) fn any_slot() -> mavlink_signing::KeySlot {
+    if kani::any() {
+        mavlink_signing::KeySlot::A
+    } else {
+        mavlink_signing::KeySlot::B
+    }
+}
+
 /// Any link and any timestamp.
 #[cfg(kani)]
 pub(crate) fn any_stamp() -> mavlink_signing::Stamp {

@@ -262,6 +262,50 @@ pub fn comes_out<H: Specified>(
     true
 }
 
+/// O1 with a clock, from any state of one sender that was resumed: a package is accepted if and only if its sequence
+/// number is one that senders use, it is newer than `last`, its tag is right, and it lies from `earliest` to `latest`.
+/// Otherwise the error names the first that is wrong, and nothing changes. How far it jumps does not matter, and is
+/// not counted. Returns the verdict.
+///
+/// # Errors
+///
+/// The verdict, where it is a rejection.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn between<H: Specified>(
+    last: H::Sequence,
+    verdict: Verdict,
+    package: &[u8; PACKAGE_SIZE],
+    earliest: H::Sequence,
+    latest: H::Sequence,
+) -> Result<(), OpenError> {
+    let key = SealingKey::<Told, H>::new(&Told::key(verdict), 9).expect("a key");
+    let (sender, sequence) = header_of::<H>(package).expect("96 bytes");
+    let mut opener = Opener::<1, Told, H>::new();
+    opener.resume(key, &[(sender, last)]).expect("room");
+    let expected = if H::never_used(sequence) {
+        Err(OpenError::NoCounter(sender.into()))
+    } else if !H::is_newer(sequence, last) {
+        Err(H::stale_error(sequence, last))
+    } else if verdict != Verdict::Right {
+        Err(OpenError::BadTag)
+    } else if H::is_newer(earliest, sequence) {
+        Err(OpenError::TooOld(sender.into()))
+    } else if H::is_newer(sequence, latest) {
+        Err(OpenError::FromFuture(sender.into()))
+    } else {
+        Ok(())
+    };
+    let opened = opener.open_between(package, earliest..=latest).map(drop);
+    assert_eq!(opened, expected);
+    let newest = if opened.is_ok() { sequence } else { last };
+    assert!(opener.senders().next() == Some((sender, newest)));
+    assert_eq!(opener.passed_over(sender), Some(0));
+    opened
+}
+
 /// Whether a sender may use `sequence`, and it is after `last`, and not too far.
 fn is_newer<H: Specified>(sequence: H::Sequence, last: H::Sequence) -> bool {
     let jump = H::jump(last, sequence);
@@ -495,6 +539,28 @@ mod tests {
         }
     }
 
+    /// Every edge of what is fresh by the clock.
+    #[test]
+    fn o1_between() {
+        fn edges<H: Specified>(epoch: u16) {
+            let at = |counter| H::place_of(epoch, counter);
+            for counter in [0, 1, 9, 10, 11, 3_000_000_000, u32::MAX - 1, u32::MAX] {
+                let mut package = [7; PACKAGE_SIZE];
+                package[..HEADER_SIZE].copy_from_slice(&H::write(H::id(5), at(counter)));
+                for last in [0, 9, 10, 11] {
+                    for (earliest, latest) in [(0, u32::MAX), (10, 10), (11, 20), (0, 9), (20, 3)] {
+                        for verdict in [Verdict::Right, Verdict::Wrong, Verdict::Fails] {
+                            let (earliest, latest) = (at(earliest), at(latest));
+                            let _ = between::<H>(at(last), verdict, &package, earliest, latest);
+                        }
+                    }
+                }
+            }
+        }
+        edges::<PackageHeader>(0);
+        edges::<EpochHeader>(3);
+    }
+
     /// A place that no sender uses: nothing comes out, however new it is.
     #[test]
     fn o2_never_used() {
@@ -650,6 +716,25 @@ mod verification {
         kani::cover!(
             matches!(verdict, Err(OpenError::UnknownSender(_))),
             "unknown"
+        );
+    }
+
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn o1_between_any() {
+        let verdict = if kani::any() {
+            Verdict::Right
+        } else {
+            Verdict::Wrong
+        };
+        let package: [u8; PACKAGE_SIZE] = kani::any();
+        let [last, earliest, latest] = kani::any::<[u32; 3]>();
+        let opened = between::<PackageHeader>(last, verdict, &package, earliest, latest);
+        kani::cover!(opened.is_ok(), "accepted");
+        kani::cover!(matches!(opened, Err(OpenError::TooOld(_))), "too old");
+        kani::cover!(
+            matches!(opened, Err(OpenError::FromFuture(_))),
+            "from the future"
         );
     }
 

@@ -5,11 +5,11 @@ use std::convert::Infallible;
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    DecodeError, Decoder, Frame, Packet, Profile, ReplayGuard, Resync, SigningKey, Stamper,
-    Timestamp, Window, dialect,
+    DecodeError, Decoder, Frame, KeyRing, KeySlot, Packet, Profile, ReplayGuard, Resync,
+    SigningKey, Stamper, Timestamp, Window, dialect,
 };
 use mavseal_relay::{
-    Counters, ForwardMode, Forwarded, RejectReason, Relay, Signer, Verifier, adapter,
+    Counters, ForwardMode, Forwarded, RejectReason, Relay, Senders, Signer, Verifier, adapter,
 };
 
 /// The link id of what the relay signs.
@@ -98,7 +98,7 @@ impl Write for Pipe {
 /// takes at a time. Each direction hands on exactly what its part makes of the packets found, in order
 /// and complete, and counts the rest. The clock stands at `now`.
 ///
-/// `keys` makes the key each time, as it cannot be copied. Returns the counters, plain to secure first.
+/// `senders` are those that are signed for. `keys` makes the key each time, as it cannot be copied. Returns the counters, plain to secure first.
 ///
 /// # Panics
 ///
@@ -106,14 +106,15 @@ impl Write for Pipe {
 pub fn pipes<P: Profile>(
     keys: impl Fn() -> SigningKey<P>,
     forward: ForwardMode,
+    senders: Senders,
     now: Timestamp,
     local: &[u8],
     link: &[u8],
     turns: &[Turn],
 ) -> [Counters; 2] {
     let replay = || ReplayGuard::new(LINK_IN, Window::STRICT);
-    let mut relay =
-        Relay::new(keys(), Stamper::new(LINK_OUT), replay(), forward).expect("two link ids");
+    let relay = Relay::new(keys(), Stamper::new(LINK_OUT), replay(), forward);
+    let mut relay = relay.expect("two link ids").senders(senders);
     let (mut local_pipe, mut link_pipe) = (Pipe::new(local), Pipe::new(link));
     let mut clock = || now;
     for turn in turns {
@@ -143,14 +144,14 @@ pub fn pipes<P: Profile>(
         }
     }
 
-    let key = keys();
-    let mut signer = Signer::new(Stamper::new(LINK_OUT));
+    let mut keys = KeyRing::from(keys());
+    let mut signer = Signer::new(Stamper::new(LINK_OUT)).for_senders(senders);
     let signed = in_sequence(Resync::Silence, local, |packet| {
-        signer.sign(packet, &key, &mut { now })
+        signer.sign(packet, &keys, &mut { now })
     });
-    let mut verifier = Verifier::new(replay(), forward);
+    let mut verifier = Verifier::new(KeySlot::A, replay(), forward);
     let verified = in_sequence(Resync::NextByte, link, |packet| {
-        match verifier.verify(packet, &mut &key, &mut { now })? {
+        match verifier.verify(packet, &mut keys, &mut { now })? {
             Forwarded::Verified(frame) => Ok(frame),
             Forwarded::Unsigned(_) => panic!("handed on without a policy"),
         }
@@ -258,9 +259,11 @@ mod tests {
             link in stream(),
             turns in proptest::collection::vec(turn(), 0..40),
             whole: bool,
+            any: bool,
         ) {
             let forward = if whole { ForwardMode::KeepSignature } else { ForwardMode::StripSignature };
-            pipes(key, forward, at(NOW), &local, &link, &turns);
+            let senders = if any { Senders::Any } else { Senders::FirstHeartbeat };
+            pipes(key, forward, senders, at(NOW), &local, &link, &turns);
         }
     }
 
@@ -279,6 +282,7 @@ mod tests {
         let [out, back] = pipes(
             key,
             ForwardMode::KeepSignature,
+            Senders::FirstHeartbeat,
             timestamp,
             &local,
             &link,

@@ -1,13 +1,14 @@
-//! L1: nothing from the link side is signed; nothing unverified leaves on the local side.
+//! L1: nothing from the link side is signed; nothing unverified leaves on the local side; only permitted senders are
+//! signed for.
 
 use mavlink_signing::field::{CHECKSUM_SIZE, SIGNATURE_SIZE};
 use mavlink_signing::{
-    FrameRef, Packet, Profile, SETUP_SIGNING, SignError, SigningKey, Stamper, Timestamp,
-    VerifyError, authenticate,
+    FrameRef, Header, KeyRing, KeySlot, Packet, Profile, SETUP_SIGNING, SignError, SigningKey,
+    Stamper, Timestamp, VerifyError, authenticate,
 };
-use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Signer, Verifier};
+use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Senders, Signer, Verifier};
 
-use crate::model::Resumed;
+use crate::model::{HEARTBEAT, Resumed};
 use crate::wire::known_and_undamaged;
 
 /// L1, towards the local side: a packet is handed on only if it is verified, by a receiver in the same
@@ -32,8 +33,8 @@ pub fn only_verified_leaves<P: Profile>(
     now: Timestamp,
     index: usize,
 ) -> Result<(), RejectReason> {
-    let handed_on =
-        Verifier::new(receiver.replay(), forward).verify(packet, &mut &*key, &mut { now });
+    let mut verifier = Verifier::new(KeySlot::A, receiver.replay(), forward);
+    let handed_on = verifier.verify(packet, &mut &*key, &mut { now });
     let Packet::Mavlink2(received) = packet else {
         assert_eq!(handed_on, Err(RejectReason::Mavlink1));
         return Err(RejectReason::Mavlink1);
@@ -86,10 +87,70 @@ fn unsigned_rejection(received: FrameRef<'_>) -> RejectReason {
     }
 }
 
+/// The local side: its signer, and what is known of it.
+#[derive(Debug)]
+pub struct LocalSide {
+    signer: Signer,
+    /// Gives the stamps that the signer must give.
+    twin: Stamper,
+    senders: Senders,
+    /// The system whose HEARTBEAT came first.
+    learnt: Option<u8>,
+}
+
+impl LocalSide {
+    /// A signer with the stamps from `first` on, for the key in `slot`, in the name of `senders`.
+    #[must_use]
+    pub const fn new(link_id: u8, slot: KeySlot, first: Timestamp, senders: Senders) -> Self {
+        Self {
+            signer: Signer::new(Stamper::resume(link_id, first).in_slot(slot)).for_senders(senders),
+            twin: Stamper::resume(link_id, first).in_slot(slot),
+            senders,
+            learnt: None,
+        }
+    }
+
+    /// Whether a packet with this header is signed, where each end signs in its own name.
+    fn permits(&self, header: Header) -> bool {
+        let (system_id, component_id) = (header.system_id, header.component_id);
+        match (self.senders, self.learnt) {
+            (Senders::Any, _) => true,
+            (Senders::System(only), _) => only == system_id,
+            (Senders::Listed(all), _) => all
+                .iter()
+                .any(|(system, component)| (*system, *component) == (system_id, component_id)),
+            (_, Some(learnt)) => learnt == system_id,
+            // Not even learnt yet: nothing but a HEARTBEAT.
+            (_, None) => header.message_id == HEARTBEAT.message_id,
+        }
+    }
+
+    /// Why a frame of the local side is not signed, unless it is, or no stamp is left.
+    fn specified(&self, frame: FrameRef<'_>) -> Result<(), RejectReason> {
+        if frame.header().message_id == SETUP_SIGNING {
+            return Err(RejectReason::SetupSigning);
+        }
+        if frame.as_bytes()[2] != 0 {
+            return Err(RejectReason::AlreadySigned);
+        }
+        if !self.permits(frame.header()) {
+            return Err(RejectReason::ForeignSender);
+        }
+        match known_and_undamaged(frame.as_bytes()) {
+            Err(SignError::UnknownMessage(_)) => Err(RejectReason::UnknownMessage),
+            Err(_) => Err(RejectReason::BadChecksum),
+            Ok(_) => Ok(()),
+        }
+    }
+}
+
 /// L1, towards the link side: a packet is signed if and only if it is an undamaged, known frame without
-/// signature, and not SETUP_SIGNING. Otherwise the error names the first that is wrong. What leaves is
-/// signed with the stamper's stamp. It has the same bytes, but for the flag, the signature, and a new
-/// checksum, which is right. Returns the rejection.
+/// signature, not SETUP_SIGNING, and of a sender that is permitted. Otherwise the error names the first that is wrong.
+/// What leaves is signed with the key in use and with its next stamp; what is rejected uses up none. It has the same
+/// bytes, but for the flag, the signature, and a new checksum, which is right. Returns the rejection.
+///
+/// Permitted are: all; those of one system; those in a list; or those of the system whose HEARTBEAT came first, and
+/// before that nothing but this HEARTBEAT.
 ///
 /// # Errors
 ///
@@ -99,17 +160,19 @@ fn unsigned_rejection(received: FrameRef<'_>) -> RejectReason {
 ///
 /// If the property does not hold.
 pub fn only_unsigned_is_signed<P: Profile>(
+    local: &mut LocalSide,
     packet: Packet<'_>,
-    key: &SigningKey<P>,
-    stamper: Stamper,
+    keys: &KeyRing<P>,
     now: Timestamp,
     index: usize,
 ) -> Result<(), RejectReason> {
-    let stamp = stamper.next(now);
-    let signing = Signer::new(stamper).sign(packet, key, &mut { now });
+    let signing = local.signer.sign(packet, keys, &mut { now });
     let expected = match packet {
         Packet::Mavlink1(_) => Err(RejectReason::Mavlink1),
-        Packet::Mavlink2(frame) => to_be_signed(frame),
+        Packet::Mavlink2(frame) => local.specified(frame).and_then(|()| {
+            local.learnt.get_or_insert(frame.header().system_id);
+            local.twin.next(now).map(drop).map_err(RejectReason::from)
+        }),
     };
     assert_eq!(signing.as_ref().map(drop), expected.as_ref().map(drop));
     let Ok(frame) = signing else { return expected };
@@ -123,36 +186,41 @@ pub fn only_unsigned_is_signed<P: Profile>(
         assert_eq!(bytes[index], original[index]);
     }
     let signed = FrameRef::parse(bytes).expect("a whole frame");
-    let authentic = authenticate(signed, key).expect("signed with the key");
-    assert_eq!(Ok(authentic.stamp()), stamp);
+    let authentic = authenticate(signed, keys.signing()).expect("signed with the key in use");
+    assert_eq!(Ok(authentic.stamp()), local.twin.stamp(now));
     Ok(())
-}
-
-/// Why a frame of the local side is not signed, unless it is.
-fn to_be_signed(frame: FrameRef<'_>) -> Result<(), RejectReason> {
-    if frame.header().message_id == SETUP_SIGNING {
-        return Err(RejectReason::SetupSigning);
-    }
-    if frame.as_bytes()[2] != 0 {
-        return Err(RejectReason::AlreadySigned);
-    }
-    match known_and_undamaged(frame.as_bytes()) {
-        Err(SignError::UnknownMessage(_)) => Err(RejectReason::UnknownMessage),
-        Err(_) => Err(RejectReason::BadChecksum),
-        Ok(_) => Ok(()),
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::HEARTBEAT;
+    use mavlink_signing::RolloverState::Applied;
     use mavlink_signing::dialect::crc_extra;
-    use mavlink_signing::{Frame, Hmac, Stamp, Window, sign_frame};
+    use mavlink_signing::{Frame, Hmac, MessageId, Stamp, Window, sign_frame};
     use proptest::prelude::*;
 
     fn at(ticks: u64) -> Timestamp {
         Timestamp::from_ticks(ticks).expect("48 bits")
+    }
+
+    /// Of every dialect, as HEARTBEAT is.
+    const PING: MessageId = MessageId::from_le_bytes([4, 0, 0]);
+
+    fn key() -> SigningKey<Hmac> {
+        SigningKey::new(&[7; 32]).expect("a key")
+    }
+
+    fn second_key() -> SigningKey<Hmac> {
+        SigningKey::new(&[8; 32]).expect("a key")
+    }
+
+    /// A local side where everybody is signed for.
+    const fn everybody() -> LocalSide {
+        LocalSide::new(1, KeySlot::A, Timestamp::ZERO, Senders::Any)
+    }
+
+    fn packet(bytes: &[u8]) -> Packet<'_> {
+        Packet::Mavlink2(FrameRef::parse(bytes).expect("a whole frame"))
     }
 
     proptest! {
@@ -167,8 +235,8 @@ mod tests {
             // Often no damage, else bits of one byte behind the length and the flags.
             damage in proptest::option::of((any::<prop::sample::Index>(), 1..=255_u8)),
         ) {
-            let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
-            let other = SigningKey::<Hmac>::new(&[8; 32]).expect("a key");
+            let (key, keys) = (key(), KeyRing::from(key()));
+            let other = second_key();
             let mut frame = Frame::new(HEARTBEAT, &payload).expect("a frame");
             if signed {
                 let stamp = Stamp { link_id, timestamp: at(times[0]) };
@@ -189,10 +257,70 @@ mod tests {
                 let left = only_verified_leaves(packet, &key, receiver, forward, at(times[2]), index);
                 let ours = signed && !other_key && link_id == 2 && damage.is_none();
                 prop_assert!(left.is_err() || ours);
-                let stamper = Stamper::new(1);
-                let signing = only_unsigned_is_signed(packet, &key, stamper, at(times[2]), index);
+                let signing = only_unsigned_is_signed(&mut everybody(), packet, &keys, at(times[2]), index);
                 let setup = received.header().message_id == SETUP_SIGNING;
                 prop_assert_eq!(signing.is_err(), signed || !right || setup);
+            }
+        }
+    }
+
+    /// Whoever sends what: signed for are those of the rule alone. The slot of the key in use gives the stamps.
+    #[test]
+    fn l1_senders() {
+        const LISTED: &[(u8, u8)] = &[(1, 1), (2, 191)];
+        let all = [(1, 1), (1, 2), (2, 1), (2, 191), (255, 190)];
+        let frames: Vec<_> = all
+            .iter()
+            .flat_map(|(system_id, component_id)| {
+                [PING, HEARTBEAT.message_id].map(|message_id| {
+                    let header = Header {
+                        system_id: *system_id,
+                        component_id: *component_id,
+                        message_id,
+                        ..HEARTBEAT
+                    };
+                    Frame::new(header, &[1]).expect("in every dialect")
+                })
+            })
+            .collect();
+        let signed = |slot, senders| {
+            let new = || KeyRing::in_slot(slot, key());
+            // The key in use is in the other slot.
+            let changed = KeyRing::resume(slot.other(), second_key(), key(), Applied);
+            [new(), changed].map(|keys| {
+                let mut local = LocalSide::new(1, slot, at(9), senders);
+                let sign = |frame: &&Frame| {
+                    let packet = packet(frame.as_bytes());
+                    only_unsigned_is_signed(&mut local, packet, &keys, at(5), 0).is_ok()
+                };
+                frames.iter().filter(sign).count()
+            })
+        };
+        for slot in [KeySlot::A, KeySlot::B] {
+            assert_eq!(signed(slot, Senders::Any), [10, 10]);
+            assert_eq!(signed(slot, Senders::System(2)), [4, 4]);
+            assert_eq!(signed(slot, Senders::Listed(LISTED)), [4, 4]);
+            assert_eq!(signed(slot, Senders::Listed(&[])), [0, 0]);
+            // The first PING comes before the HEARTBEAT of system 1.
+            assert_eq!(signed(slot, Senders::FirstHeartbeat), [3, 3]);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn l1_senders_random(
+            frames in proptest::collection::vec((1..4_u8, 1..4_u8, any::<bool>()), 0..12),
+            rule in 0..4_u8,
+        ) {
+            let listed = Senders::Listed(&[(1, 1), (3, 2)]);
+            let rules = [Senders::FirstHeartbeat, Senders::Any, Senders::System(2), listed];
+            let mut local = LocalSide::new(1, KeySlot::A, at(9), rules[usize::from(rule)]);
+            let keys = KeyRing::from(key());
+            for (system_id, component_id, ping) in frames {
+                let message_id = if ping { PING } else { HEARTBEAT.message_id };
+                let header = Header { system_id, component_id, message_id, ..HEARTBEAT };
+                let frame = Frame::new(header, &[1]).expect("in every dialect");
+                let _ = only_unsigned_is_signed(&mut local, packet(frame.as_bytes()), &keys, at(5), 0);
             }
         }
     }
@@ -201,13 +329,13 @@ mod tests {
     #[test]
     fn l1_each_bit() {
         let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
-        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let (key, keys) = (key(), KeyRing::from(key()));
         for place in 3..frame.as_bytes().len() {
             for bit in 0..8 {
                 let mut bytes = frame.as_bytes().to_vec();
                 bytes[place] ^= 1 << bit;
-                let packet = Packet::Mavlink2(FrameRef::parse(&bytes).expect("a whole frame"));
-                let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), at(5), 0);
+                let packet = packet(&bytes);
+                let signing = only_unsigned_is_signed(&mut everybody(), packet, &keys, at(5), 0);
                 assert!(signing.is_err());
                 let receiver = Resumed {
                     link_id: 2,
@@ -223,7 +351,6 @@ mod tests {
     /// What is rejected uses up no stamp: the next frame has the one that it would have had.
     #[test]
     fn l1_rejected_uses_no_stamp() {
-        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
         let frame = Frame::new(HEARTBEAT, &[1, 2, 3]).expect("a frame");
         let mut damaged = frame.as_bytes().to_vec();
         damaged[12] ^= 1;
@@ -232,17 +359,14 @@ mod tests {
             link_id: 9,
             timestamp: at(1),
         };
-        sign_frame(&mut signed, &key, stamp).expect("signed");
-        let mut signer = Signer::new(Stamper::new(1));
-        let packet = |bytes| Packet::Mavlink2(FrameRef::parse(bytes).expect("a whole frame"));
+        sign_frame(&mut signed, &key(), stamp).expect("signed");
+        let (mut local, keys) = (everybody(), KeyRing::from(key()));
+        let mut signing =
+            |bytes| only_unsigned_is_signed(&mut local, packet(bytes), &keys, at(5), 0);
         for rejected in [&damaged, signed.as_bytes()] {
-            let rejection = signer.sign(packet(rejected), &key, &mut { at(5) });
-            assert!(rejection.is_err());
+            assert!(signing(rejected).is_err());
         }
-        let sent = signer.sign(packet(frame.as_bytes()), &key, &mut { at(5) });
-        let sent = sent.expect("signed");
-        let sent = FrameRef::parse(sent.as_bytes()).expect("a whole frame");
-        assert_eq!(sent.signature().expect("signed").stamp.timestamp, at(5));
+        assert_eq!(signing(frame.as_bytes()), Ok(()));
     }
 
     #[test]
@@ -250,9 +374,9 @@ mod tests {
         let mut header = HEARTBEAT;
         header.message_id = SETUP_SIGNING;
         let mut frame = Frame::new(header, &[7; 42]).expect("a frame");
-        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let (key, keys) = (key(), KeyRing::from(key()));
         let packet = Packet::parse(frame.as_bytes(), crc_extra).expect("a packet");
-        let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), at(5), 0);
+        let signing = only_unsigned_is_signed(&mut everybody(), packet, &keys, at(5), 0);
         assert_eq!(signing, Err(RejectReason::SetupSigning));
         let receiver = Resumed {
             link_id: 2,
@@ -274,9 +398,9 @@ mod tests {
     fn l1_mavlink1() {
         let heartbeat = [0xFE, 9, 78, 1, 1, 0, 5, 0, 0, 0, 2, 3, 81, 4, 3, 0xA7, 0xE3];
         let packet = Packet::parse(&heartbeat, crc_extra).expect("a packet");
-        let key = SigningKey::<Hmac>::new(&[7; 32]).expect("a key");
+        let (key, keys) = (key(), KeyRing::from(key()));
         let now = at(5);
-        let signing = only_unsigned_is_signed(packet, &key, Stamper::new(1), now, 0);
+        let signing = only_unsigned_is_signed(&mut everybody(), packet, &keys, now, 0);
         assert_eq!(signing, Err(RejectReason::Mavlink1));
         let receiver = Resumed {
             link_id: 2,
@@ -291,7 +415,7 @@ mod tests {
 #[cfg(kani)]
 mod verification {
     use super::*;
-    use crate::model::{any_key, any_prefix, any_timestamp};
+    use crate::model::{any_key, any_prefix, any_slot, any_timestamp};
     use mavlink_signing::field::{MAGIC, MAGIC_V1, MAX_FRAME_SIZE};
 
     /// Any frame of `SIZE` bytes with these flags: an array of that size, so that the solver knows
@@ -300,6 +424,28 @@ mod verification {
         let mut bytes: [u8; SIZE] = kani::any();
         [bytes[0], bytes[1], bytes[2]] = [MAGIC, payload_length as u8, flags];
         bytes
+    }
+
+    impl LocalSide {
+        /// In any state, with any rule.
+        fn any(slot: KeySlot) -> Self {
+            const LISTED: &[(u8, u8)] = &[(1, 190), (4, 0)];
+            let rules = [
+                Senders::FirstHeartbeat,
+                Senders::Any,
+                Senders::System(kani::any()),
+                Senders::Listed(LISTED),
+            ];
+            let rule: usize = kani::any();
+            kani::assume(rule < rules.len());
+            let new = Self::new(kani::any(), slot, any_timestamp(), rules[rule]);
+            let learnt = kani::any();
+            Self {
+                signer: new.signer.having_learnt(learnt),
+                learnt,
+                ..new
+            }
+        }
     }
 
     fn leaves<const SIZE: usize>() {
@@ -325,10 +471,19 @@ mod verification {
     fn signs<const SIZE: usize>() {
         let bytes: [u8; SIZE] = any_frame(0, SIZE - 12);
         let packet = Packet::Mavlink2(FrameRef::parse(&bytes).expect("a whole frame"));
-        let stamper = Stamper::resume(kani::any(), any_timestamp());
+        let slot = any_slot();
+        let mut local = LocalSide::any(slot);
+        let before = local.learnt;
+        let keys = KeyRing::in_slot(slot, any_key());
         let (now, index) = (any_timestamp(), kani::any());
-        let signing = only_unsigned_is_signed(packet, &any_key(), stamper, now, index);
-        kani::cover!(signing.is_ok(), "signed");
+        let signing = only_unsigned_is_signed(&mut local, packet, &keys, now, index);
+        let by_heartbeat = local.senders == Senders::FirstHeartbeat;
+        kani::cover!(
+            signing.is_ok() && by_heartbeat && before.is_none(),
+            "the first"
+        );
+        kani::cover!(signing.is_ok() && !by_heartbeat, "signed");
+        kani::cover!(signing == Err(RejectReason::ForeignSender), "foreign");
         kani::cover!(signing == Err(RejectReason::UnknownMessage), "unknown");
         kani::cover!(signing == Err(RejectReason::BadChecksum), "damaged");
         kani::cover!(signing == Err(RejectReason::SetupSigning), "SETUP_SIGNING");
@@ -369,8 +524,9 @@ mod verification {
         }
         let (key, now) = (any_key(), any_timestamp());
         if mavlink1 || signed {
-            let mut signer = Signer::new(Stamper::resume(kani::any(), any_timestamp()));
-            let rejection = signer.sign(packet, &key, &mut { now }).err();
+            let mut signer = LocalSide::any(KeySlot::A).signer;
+            let keys = KeyRing::from(any_key());
+            let rejection = signer.sign(packet, &keys, &mut { now }).err();
             let expected = if mavlink1 {
                 RejectReason::Mavlink1
             } else {
@@ -384,9 +540,9 @@ mod verification {
             );
         }
         if mavlink1 || !signed {
-            let rejection = Verifier::new(Resumed::any().replay(), ForwardMode::KeepSignature)
-                .verify(packet, &mut &key, &mut { now })
-                .err();
+            let replay = Resumed::any().replay();
+            let mut verifier = Verifier::new(KeySlot::A, replay, ForwardMode::KeepSignature);
+            let rejection = verifier.verify(packet, &mut &key, &mut { now }).err();
             let expected = match packet {
                 Packet::Mavlink1(_) => RejectReason::Mavlink1,
                 Packet::Mavlink2(frame) => unsigned_rejection(frame),

@@ -3,8 +3,8 @@
 use core::cell::Cell;
 
 use mavlink_signing::{
-    Claim, FrameRef, Packet, Profile, SETUP_SIGNING, SignError, SigningKey, Timestamp, VerifyError,
-    accept_unsigned, authenticate,
+    Claim, FrameRef, KeySlot, Packet, Profile, SETUP_SIGNING, SignError, SigningKey, Timestamp,
+    VerifyError, accept_unsigned, authenticate,
 };
 use mavseal_relay::{ForwardMode, Forwarded, RejectReason, Verifier};
 
@@ -104,8 +104,8 @@ pub fn only_unsigned_is_asked_about<P: Profile>(
         assert_eq!(claim.message_id, header.message_id);
         true
     };
-    let mut verifier =
-        Verifier::new(receiver.replay(), ForwardMode::KeepSignature).accepting(LINK_ID, policy);
+    let verifier = Verifier::new(KeySlot::A, receiver.replay(), ForwardMode::KeepSignature);
+    let mut verifier = verifier.accepting(LINK_ID, policy);
     let handed_on = verifier.verify(Packet::Mavlink2(received), &mut &*key, &mut { now });
     let id = header.message_id;
     let unsigned = match known_and_undamaged(received.as_bytes()) {

@@ -233,6 +233,36 @@ impl Signer {
     }
 }
 
+#[cfg(kani)]
+#[cfg_attr(test, mutants::skip)]
+impl Signer {
+    /// For proofs: a HEARTBEAT of this system came first.
+    #[must_use]
+    pub const fn having_learnt(mut self, system_id: Option<u8>) -> Self {
+        self.learnt = system_id;
+        self
+    }
+
+    /// For proofs: keeps SETUP_SIGNING for this end, after one that was signed at `last`.
+    #[must_use]
+    pub fn keeping(mut self, end: [u8; 2], presence: Presence, last: Option<Timestamp>) -> Self {
+        let [system_id, component_id] = end;
+        self.presence = presence;
+        self.setup = Some(Setup {
+            system_id,
+            component_id,
+            came: None,
+            last,
+        });
+        self
+    }
+
+    /// For proofs: what came since it was last asked for.
+    pub fn kept(&mut self) -> Option<SetupSigning> {
+        self.take_setup()
+    }
+}
+
 /// How verified frames leave on the local side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

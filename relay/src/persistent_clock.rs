@@ -299,6 +299,11 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         Ok(first)
     }
 
+    fn repeat_key(&mut self, initial: Timestamp) {
+        let timer = (self.timer)();
+        self.clock.raise(initial, timer);
+    }
+
     fn on_accepted(&mut self, frame: &Verified<'_>) {
         let now = (self.timer)();
         self.clock.on_accepted(frame, now);

@@ -81,8 +81,8 @@ const ALL: &str = r#"
 every wrong tag rejected in constant time
 cargo test --quiet --locked -p mavseal-chips-host every_wrong_tag -- --ignored --nocapture
 
-100,000 histories of a link
-cargo test --quiet --locked --release -p mavseal-relay --test simulation -- --ignored --nocapture
+100,000 histories of three devices and an adversary
+cargo test --quiet --locked --release -p mavseal-proofs --lib d_100_000 -- --ignored
 
 mutants of the cores
 cargo mutants --version || cargo install --locked cargo-mutants

@@ -111,9 +111,11 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
         let all_blank = others.iter().all(|other| *other == Contents::Blank);
         match first {
             Contents::Blank if all_blank => Err(MarksError::NotProvisioned),
-            Contents::Blank | Contents::Interrupted | Contents::Record(NEW)
-                if others.iter().all(is_unused) =>
-            {
+            Contents::Blank if others.iter().all(is_unused) => {
+                store(fingerprints, own.id, peers, sent, accepted)
+            }
+            // The own mark comes behind all others.
+            Contents::Interrupted | Contents::Record(NEW) if others.iter().all(is_begun) => {
                 store(fingerprints, own.id, peers, sent, accepted)
             }
             _ => find(fingerprints, own.id, peers, sent, accepted),
@@ -171,13 +173,14 @@ fn look<F: NorFlash>(
     Ok(contents)
 }
 
-/// Whether nothing can have been accepted, nor all marks have been stored.
+/// Whether provisioning was cut here or before.
 fn is_unused(contents: &Contents<MARK_SIZE>) -> bool {
-    match contents {
-        Contents::Blank | Contents::Interrupted => true,
-        Contents::Unreadable => false,
-        Contents::Record(mark) => u64::from_le_bytes(*mark) == BEGUN,
-    }
+    matches!(contents, Contents::Blank | Contents::Interrupted) || is_begun(contents)
+}
+
+/// Whether provisioning was cut behind this mark.
+fn is_begun(contents: &Contents<MARK_SIZE>) -> bool {
+    matches!(contents, Contents::Record(mark) if u64::from_le_bytes(*mark) == BEGUN)
 }
 
 /// That no mark of this very key says that it is in use.
