@@ -669,7 +669,11 @@ mod tests {
     #[test]
     fn d_tmp() {
         use Step::*;
-        play(&[Offer,Off(0,),On,SetUp(1,),Beat(1,2,),Sleep(1,)], 2, 9719186755379560072);
+        play(
+            &[Offer, Off(0), On, SetUp(1), Beat(1, 2), Sleep(1)],
+            2,
+            9719186755379560072,
+        );
     }
 
     /// A change of key goes through, whoever knows the time, and although a former friend led everybody away.

@@ -260,7 +260,11 @@ impl Node {
             let result =
                 told.map(|told| running.memory.clock.update(TimeSource::Trusted, at(told)));
             let dead = self.told == Told::Dead && result.is_some();
-            assert!(!dead || result == Some(Err(TimeError::BehindMark)), "{result:?} {used:?} {}", self.id);
+            assert!(
+                !dead || result == Some(Err(TimeError::BehindMark)),
+                "{result:?} {used:?} {}",
+                self.id
+            );
         }
         Some(running)
     }
