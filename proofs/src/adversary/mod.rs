@@ -292,7 +292,10 @@ impl World {
             }
         }
         // A loss from the end of one packet to the beginning of another in a payload leaves no trace but the report.
-        let traceless = split_front(&line).iter().any(|it| self.nested.contains(it));
+        let whole = split_front(&line);
+        let traceless = whole.iter().any(|it| self.nested.contains(it));
+        // One damaged packet in 2^16 has a right checksum again: nobody can tell it from what was sent.
+        self.sent[node].extend(whole);
         let (before, after) = line.split_at(cut);
         let faulty = !matches!(edit, Edit::None | Edit::Pause(..)) && (reported || traceless);
         let fault = faulty.then_some(LineEvent::Overrun);
@@ -664,16 +667,6 @@ mod tests {
                 assert!(report.signed >= 4 && report.handed_on >= 4);
             }
         }
-    }
-
-    #[test]
-    fn d_tmp() {
-        use Step::*;
-        play(
-            &[Offer, Off(0), On, SetUp(1), Beat(1, 2), Sleep(1)],
-            2,
-            9719186755379560072,
-        );
     }
 
     /// A change of key goes through, whoever knows the time, and although a former friend led everybody away.
