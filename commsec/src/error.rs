@@ -17,21 +17,29 @@ pub enum OpenError {
     UnknownSender(SenderId),
     /// A counter, or an epoch, whose bits are all ones. No sender uses it: nothing would be newer.
     NoCounter(SenderId),
-    /// Not newer than the last package accepted from its sender: a replay, a duplicate, reordered, or a
-    /// sender that counts from the beginning again. Anybody can send one without the key.
+    /// Accepted before, or more than 64 counters behind the newest accepted from its sender: a replay, a duplicate,
+    /// very late, or a sender that counts from the beginning again. Anybody can send one without the key.
     Stale {
         /// The counter that the package claims.
         counter: u32,
-        /// The counter of the last package accepted from that sender.
+        /// The counter of the newest package accepted from that sender.
         last: u32,
     },
-    /// The same of a package with an epoch.
+    /// The same of a package with an epoch; or of an older epoch.
     StaleInEpoch {
         /// Epoch and counter that the package claims.
         sequence: EpochCounter,
-        /// Those of the last package accepted from that sender.
+        /// Those of the newest package accepted from that sender.
         last: EpochCounter,
     },
+    /// Its tag is right, but it is so far above the newest accepted from its sender that more than
+    /// [`MAX_PASSED_OVER`](crate::MAX_PASSED_OVER) counters would have been passed over since the start.
+    JumpTooFar(SenderId),
+    /// Its tag is right, but its counter is below those that [`Opener::open_between`](crate::Opener::open_between) was
+    /// told to accept: the package was held back, or a clock is wrong.
+    TooOld(SenderId),
+    /// Its tag is right, but its counter is above those: a clock is wrong.
+    FromFuture(SenderId),
     /// Too many packages with a wrong tag have come. No further one is tried before the next start.
     IntegrityLimitReached,
     /// Another key or salt, damage on the way, or a forgery.
@@ -51,12 +59,19 @@ impl fmt::Display for OpenError {
             }
             Self::Stale { counter, last } => write!(
                 f,
-                "counter {counter} is not newer than {last}, the last accepted"
+                "counter {counter} is a replay or too old: {last} is the newest accepted"
             ),
             Self::StaleInEpoch { sequence, last } => write!(
                 f,
-                "counter {sequence} is not newer than {last}, the last accepted"
+                "counter {sequence} is a replay or too old: {last} is the newest accepted"
             ),
+            Self::JumpTooFar(sender) => {
+                write!(f, "sender {sender} has passed over too many counters")
+            }
+            Self::TooOld(sender) => write!(f, "a package of sender {sender} is too old"),
+            Self::FromFuture(sender) => {
+                write!(f, "a package of sender {sender} is from the future")
+            }
             Self::IntegrityLimitReached => f.write_str("too many wrong tags: the key is worn out"),
             Self::BadTag => f.write_str("bad tag: another key or a forgery"),
         }

@@ -97,6 +97,8 @@ pub trait HeaderFormat: Copy + Eq + fmt::Debug + sealed::Sealed {
     type Sequence: Copy + Ord + fmt::Debug;
     /// Below the first sequence number of all.
     const ZERO: Self::Sequence;
+    /// The greatest sequence number, which no sender uses.
+    const NEVER_USED: Self::Sequence;
 
     /// The header of a package.
     fn new(sender: Self::Id, sequence: Self::Sequence) -> Self;
@@ -114,8 +116,12 @@ pub trait HeaderFormat: Copy + Eq + fmt::Debug + sealed::Sealed {
     fn to_wire(self) -> [u8; HEADER_SIZE];
     /// Whether its sequence number is above all that a sender uses.
     fn is_exhausted(self) -> bool;
-    /// The error that its sequence number is not above `last`.
+    /// The error that its sequence number was accepted before, or lies too far behind `last`, the newest.
     fn stale(self, last: Self::Sequence) -> OpenError;
+    /// From `low` to `high`, in counters; `None` between epochs, and where `high` is the lower one.
+    fn distance(low: Self::Sequence, high: Self::Sequence) -> Option<u32>;
+    /// How many counters lie between `from` and `to`, each epoch counted as 2^16; 0 if `to` is not above `from`.
+    fn passed_over(from: Self::Sequence, to: Self::Sequence) -> u64;
 }
 
 /// An id, whose type says which header it belongs to.
@@ -136,6 +142,7 @@ impl HeaderFormat for PackageHeader {
     type Id = SenderId;
     type Sequence = u32;
     const ZERO: u32 = 0;
+    const NEVER_USED: u32 = u32::MAX;
 
     fn new(sender: SenderId, counter: u32) -> Self {
         Self { sender, counter }
@@ -175,6 +182,14 @@ impl HeaderFormat for PackageHeader {
             last,
         }
     }
+
+    fn distance(low: u32, high: u32) -> Option<u32> {
+        high.checked_sub(low)
+    }
+
+    fn passed_over(from: u32, to: u32) -> u64 {
+        to.saturating_sub(from).saturating_sub(1).into()
+    }
 }
 
 impl HeaderFormat for EpochHeader {
@@ -183,6 +198,10 @@ impl HeaderFormat for EpochHeader {
     const ZERO: EpochCounter = EpochCounter {
         epoch: 0,
         counter: 0,
+    };
+    const NEVER_USED: EpochCounter = EpochCounter {
+        epoch: u16::MAX,
+        counter: u32::MAX,
     };
 
     fn new(sender: EpochSenderId, sequence: EpochCounter) -> Self {
@@ -225,5 +244,20 @@ impl HeaderFormat for EpochHeader {
             sequence: self.sequence,
             last,
         }
+    }
+
+    fn distance(low: EpochCounter, high: EpochCounter) -> Option<u32> {
+        let distance = high.counter.checked_sub(low.counter);
+        distance.filter(|_| low.epoch == high.epoch)
+    }
+
+    fn passed_over(from: EpochCounter, to: EpochCounter) -> u64 {
+        let epochs = to.epoch.checked_sub(from.epoch);
+        let (epochs, counters) = match epochs {
+            None => (0, 0),
+            Some(0) => (0, to.counter.saturating_sub(from.counter)),
+            Some(epochs) => (epochs, to.counter),
+        };
+        (u64::from(epochs) << 16).saturating_add(counters.saturating_sub(1).into())
     }
 }

@@ -17,6 +17,8 @@
 use core::{fmt, slice};
 
 use heapless::Vec;
+#[cfg(not(kani))]
+use zeroize::Zeroize as _;
 
 use crate::field::PACKAGE_SIZE;
 use crate::package::Package;
@@ -65,7 +67,7 @@ impl FrameKind {
 
 /// A frame: its kind, and 1 to 100 bytes. It is never empty: after an empty frame of air data,
 /// SMACCMPilot's radio never sends anything again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Frame<'a> {
     kind: FrameKind,
     payload: &'a [u8],
@@ -118,15 +120,34 @@ impl<'a> From<&'a Package> for Frame<'a> {
     }
 }
 
+/// Shows how many bytes there are, not which.
+impl fmt::Debug for Frame<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Frame")
+            .field("kind", &self.kind)
+            .field("payload", &self.payload.len())
+            .finish()
+    }
+}
+
 /// The bytes of a frame on the line, 4 to 203.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Encode<'a> {
     next: Next,
     payload: slice::Iter<'a, u8>,
 }
 
+/// Shows how many bytes of payload are left, not which.
+impl fmt::Debug for Encode<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Encode")
+            .field("payload", &self.payload.len())
+            .finish_non_exhaustive()
+    }
+}
+
 /// What comes next out of [`Encode`].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy)]
 enum Next {
     Begin(FrameKind),
     FrameKind(FrameKind),
@@ -174,7 +195,7 @@ enum State {
 
 /// Finds frames in a stream of bytes, one byte at a time.
 ///
-/// Holds at most the 100 bytes of one payload. A flag ends whatever there was, so that from any state,
+/// Holds at most the 100 bytes of one payload, and wipes them when it is dropped. A flag ends whatever there was, so that from any state,
 /// after any bytes, the next whole frame is found. Two frames may share a flag, and there may be several
 /// between them. A frame without a flag after it waits for the next byte that is one.
 ///
@@ -193,7 +214,7 @@ enum State {
 /// assert_eq!(received, 1);
 /// # Ok::<(), Box<dyn core::error::Error>>(())
 /// ```
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Decoder {
     state: State,
     payload: Vec<u8, MAX_PAYLOAD_SIZE>,
@@ -281,6 +302,26 @@ impl Decoder {
         kani::assume(length <= MAX_PAYLOAD_SIZE);
         payload.truncate(length);
         Self { state, payload }
+    }
+}
+
+/// Shows how many bytes of payload it holds, not which.
+impl fmt::Debug for Decoder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Decoder")
+            .field("state", &self.state)
+            .field("payload", &self.payload.len())
+            .finish()
+    }
+}
+
+// For proofs, what is wiped is no part of them, and a loop over it would be unwound.
+#[cfg(not(kani))]
+impl Drop for Decoder {
+    fn drop(&mut self) {
+        // With what is left of longer frames before.
+        let _ = self.payload.resize(MAX_PAYLOAD_SIZE, 0);
+        self.payload.as_mut_slice().zeroize();
     }
 }
 

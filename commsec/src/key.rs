@@ -6,9 +6,12 @@ use core::marker::PhantomData;
 use zeroize::Zeroizing;
 
 use crate::cipher::{AesGcm, Cipher, CipherError, Nonce, PackageTag, Plaintext};
-use crate::field::{KEY_SIZE, SALT_SIZE};
+use crate::field::{KEY_SIZE, PLAINTEXT_SIZE, SALT_SIZE};
 use crate::header::{HeaderFormat, PackageHeader, Sender};
 use crate::sender::SenderId;
+
+/// Bytes of a key's [fingerprint](SealingKey::fingerprint).
+pub const FINGERPRINT_SIZE: usize = 4;
 
 /// A key and its salt, prepared for use.
 ///
@@ -66,6 +69,23 @@ impl<C: Cipher, H: HeaderFormat> SealingKey<C, H> {
         tag: &PackageTag,
     ) -> Result<(), CipherError> {
         self.cipher.open(&self.nonce(header), message, tag)
+    }
+
+    /// 4 bytes that depend on key, salt and `sender`, for marks in this device's own storage: with them a mark of
+    /// another key or sender is told apart. Not a secret in itself, but keep it in the device.
+    ///
+    /// It is the front of the tag of 80 zeros, sealed under the sequence number that no sender uses: 2^32 - 1, with
+    /// epochs the same of epoch 65,535. No nonce is used twice so, as nothing is ever sealed under that one but these
+    /// zeros. No package can be made with it, as receivers look at no tag under that number. To whoever has neither
+    /// key nor storage the bytes are those of a random function. Two keys have the same ones with one chance in 2^32.
+    ///
+    /// # Errors
+    ///
+    /// A hardware unit failed.
+    pub fn fingerprint(&self, sender: H::Id) -> Result<[u8; FINGERPRINT_SIZE], CipherError> {
+        let mut zeros = Zeroizing::new([0; PLAINTEXT_SIZE]);
+        let [a, b, c, d, ..] = self.seal(H::new(sender, H::NEVER_USED), &mut zeros)?;
+        Ok([a, b, c, d])
     }
 
     /// The salt, then the header as it is sent. So the header is under the tag without being

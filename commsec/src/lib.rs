@@ -26,16 +26,18 @@ mod pack;
 mod package;
 pub mod radio;
 mod seal;
+mod seen;
 mod sender;
 
 pub use cipher::{AesGcm, Cipher, CipherError, Nonce, PackageTag, Plaintext};
 pub use error::OpenError;
 pub use header::{EpochHeader, HeaderFormat, PackageHeader, Sender};
-pub use key::{Credential, SealingKey, SealingKeyError};
+pub use key::{Credential, FINGERPRINT_SIZE, SealingKey, SealingKeyError};
 pub use open::{INTEGRITY_LIMIT, Opened, Opener, PermitError};
 pub use pack::{LEGACY_SIZE, PackError, Packer, Packets, UnpackError, packets};
 pub use package::Package;
 pub use seal::{EpochError, FIRST_COUNTER, SealError, Sealer};
+pub use seen::{MAX_PASSED_OVER, REORDER_WINDOW};
 pub use sender::{EpochCounter, EpochSenderId, SenderId};
 /// What a [`Cipher`] promises: it wipes itself when it is dropped.
 pub use zeroize::ZeroizeOnDrop;

@@ -54,6 +54,12 @@ impl<C: Cipher> Sealer<C> {
         };
         Self { key, id, next }
     }
+
+    /// The next package has this counter at least: for counters that follow a clock. It never goes back. What is
+    /// passed over is used up.
+    pub fn advance_to(&mut self, counter: u32) {
+        self.next = self.next.max(counter);
+    }
 }
 
 impl<C: Cipher> Sealer<C, EpochHeader> {

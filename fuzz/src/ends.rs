@@ -1,5 +1,6 @@
 //! Target: one end of a sealed link, over restarts, between ports and flashes that fail.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use arbitrary::Arbitrary;
@@ -9,12 +10,13 @@ use mavlink_commsec::{
     AesGcm, Cipher, CipherError, Credential, Nonce, Opener, PackageTag, Plaintext, Sealer,
     SenderId, ZeroizeOnDrop, hx, hx::FrameKind, packets,
 };
-use mavlink_signing::Timestamp;
+use mavlink_signing::{TICKS_PER_SECOND, Timestamp};
 use mavseal_relay::sealed::{
-    HighWaterMarks, Radio, SealedCounters, SealedEndpoint, SealedEvent, SealedRejectReason,
+    ACCEPTED_KIND, HighWaterMarks, MAX_AGE, MAX_LEAD, Radio, SENT_KIND, SealedCounters,
+    SealedEndpoint, SealedEvent, SealedRejectReason,
 };
 use mavseal_relay::{Direction, adapter};
-use mavseal_store::HighWaterMark;
+use mavseal_store::{Binding, HighWaterMark};
 
 use crate::flash::{REGION, Shared};
 use crate::ports::{Behaviour, Fault, Port, is_due};
@@ -24,6 +26,8 @@ use crate::repair;
 const OWN: Credential = credential(7, 1);
 const PEERS: [Credential; 2] = [credential(5, 2), credential(6, 3)];
 const UNKNOWN: Credential = credential(9, 4);
+/// When it all begins, in ticks: late enough for a clock whose counters have come to their end.
+const START: u64 = 1 << 43;
 /// The first byte of a key with which nothing can be sealed.
 const BROKEN: u8 = 0xEE;
 
@@ -35,7 +39,7 @@ const fn credential(id: u32, byte: u8) -> Credential {
     }
 }
 
-/// AES-128-GCM that fails to seal with some keys.
+/// AES-128-GCM that fails to seal packages with some keys.
 struct Unit {
     cipher: AesGcm,
     broken: bool,
@@ -53,7 +57,8 @@ impl Cipher for Unit {
     }
 
     fn seal(&self, nonce: &Nonce, message: &mut Plaintext) -> Result<PackageTag, CipherError> {
-        if self.broken {
+        // Not for the fingerprint, without which there is no end.
+        if self.broken && nonce[8..] != [0xFF; 4] {
             return Err(CipherError);
         }
         self.cipher.seal(nonce, message)
@@ -94,6 +99,8 @@ pub struct Ends<'a> {
     pub station: bool,
     /// Whether its cipher is broken.
     pub broken: bool,
+    /// Whether counters follow the clock, which begins where the peers' counters do.
+    pub clocked: bool,
     /// What is left to chance: how a cut leaves words.
     pub chance: i64,
     /// Where its own counters begin, and those of both peers.
@@ -202,24 +209,21 @@ struct Seen {
     to_local: Vec<u8>,
 }
 
-/// No counter is used and no package opened twice, over all restarts; what comes out was sealed by a peer, or
+/// No counter is used and no package opened twice, over all restarts; with a clock, none is far from it; what comes out was sealed by a peer, or
 /// came in on the local side, whole; every count is that of what was observed.
 pub fn sealed_end(input: Ends<'_>) {
     let stages = &input.stages[..input.stages.len().min(200)];
     let script = Script::of(&input, stages);
     let flashes = [0, 1, 2].map(|at| Shared::new(input.chance.wrapping_add(at)));
-    let first = input.first[0];
-    if let Some(last) = first.checked_sub(1) {
-        let mut mark = HighWaterMark::open(flashes[0].clone(), REGION).expect("fits");
-        mark.reserve(last.into(), 0).expect("stored");
-    }
+    let [first, first_of_peers] = input.first;
+    provisioned(&input, &flashes);
     let (mut local, mut air) = (Port::new(&script.local), Port::new(&script.air));
     let mut due = [0; 2];
-    let mut now = 0;
-    // Above everything that was used, and accepted of each peer.
+    let mut now = START;
+    // Above everything that was used.
     let mut used = 0;
     let mut last = first.saturating_sub(1);
-    let mut accepted = [0; 2];
+    let mut accepted = [BTreeSet::new(), BTreeSet::new()];
     let mut stages = stages.iter().zip(&script.lengths).peekable();
     while stages.peek().is_some() {
         let mut end = switched_on(&input, &flashes);
@@ -254,12 +258,18 @@ pub fn sealed_end(input: Ends<'_>) {
                     match event {
                         SealedEvent::Sealed(counter) => {
                             assert!(u64::from(counter) >= used, "a counter is used twice");
+                            let clock = clock_of(first_of_peers, now);
+                            let ahead = u64::from(counter).saturating_sub(clock);
+                            assert!(!input.clocked || ahead <= MAX_LEAD.into());
                             used = u64::from(counter) + 1;
                             seen.packages[0] += 1;
                         }
                         SealedEvent::Packed => seen.packets[0] += 1,
-                        SealedEvent::Opened(sender) => {
-                            opened(&script, &end, sender, &mut accepted, &mut seen);
+                        SealedEvent::Opened(sender, counter) => {
+                            let clock = clock_of(first_of_peers, now);
+                            let age = clock.abs_diff(counter.into());
+                            assert!(!input.clocked || age <= MAX_AGE.into());
+                            opened(&script, sender, counter, &mut accepted, &mut seen);
                         }
                         SealedEvent::Radio(status) if input.station => {
                             seen.to_local.extend(status.gcs_radio(seen.told));
@@ -297,35 +307,64 @@ pub fn sealed_end(input: Ends<'_>) {
 }
 
 fn switched_on(input: &Ends<'_>, flashes: &[Shared; 3]) -> SealedEndpoint<Shared, 2, Unit> {
-    let mark = |at: usize| HighWaterMark::open(flashes[at].clone(), REGION).expect("fits");
-    let marks = HighWaterMarks {
-        sent: mark(0),
-        accepted: [mark(1), mark(2)],
-    };
+    let own = own(input);
+    let place = |at: usize| (flashes[at].clone(), REGION);
+    let accepted = [place(1), place(2)];
+    let marks = HighWaterMarks::open::<Unit>(&own, &PEERS, place(0), accepted);
     let vehicle = Radio::Vehicle {
         system_id: 1,
         component_id: 68,
     };
     let radio = [vehicle, Radio::Station][usize::from(input.station)];
-    let own = credential(7, if input.broken { BROKEN } else { 1 });
     let max_delay = Duration::from_millis(input.max_delay.into());
-    SealedEndpoint::new(&own, &PEERS, marks, radio, max_delay).expect("keys")
+    let marks = marks.expect("provisioned");
+    let end = SealedEndpoint::new(&own, &PEERS, marks, radio, max_delay).expect("keys");
+    if !input.clocked {
+        return end;
+    }
+    let origin = START - u64::from(input.first[1]) * TICKS_PER_SECOND / 64;
+    end.clocked(Timestamp::from_ticks(origin).expect("48 bits"))
 }
 
-/// A package that was accepted is newer than all before it, and one that this peer sealed.
+fn own(input: &Ends<'_>) -> Credential {
+    credential(7, if input.broken { BROKEN } else { 1 })
+}
+
+/// What the clock says as a counter, which is `first` at the start.
+fn clock_of(first: u32, now: u64) -> u64 {
+    let before = u64::from(first) * TICKS_PER_SECOND / 64;
+    (before + (now - START)) * 64 / TICKS_PER_SECOND
+}
+
+/// Marks of an end that has sealed and accepted everything below `first`.
+fn provisioned(input: &Ends<'_>, flashes: &[Shared; 3]) {
+    let own = own(input);
+    let place = |at: usize| (flashes[at].clone(), REGION);
+    let accepted = [place(1), place(2)];
+    let made = HighWaterMarks::provision::<Unit>(&own, &PEERS, place(0), accepted);
+    made.map(drop).expect("blank flashes");
+    for (at, of) in [&own, &PEERS[0], &PEERS[1]].into_iter().enumerate() {
+        let (kind, first) =
+            [(SENT_KIND, input.first[0]), (ACCEPTED_KIND, input.first[1])][at.min(1)];
+        let key = of.prepare::<Unit>().expect("a key").fingerprint(of.id);
+        let binding = Binding::new(kind, key.expect("not for this one"));
+        let mark = HighWaterMark::open(flashes[at].clone(), REGION, binding);
+        let last = u64::from(first).saturating_sub(1);
+        mark.expect("provisioned").reserve(last, 0).expect("stored");
+    }
+}
+
+/// A package that was accepted was not accepted before, and is one that this peer sealed.
 fn opened(
     script: &Script,
-    end: &SealedEndpoint<Shared, 2, Unit>,
     sender: SenderId,
-    accepted: &mut [u64; 2],
+    counter: u32,
+    accepted: &mut [BTreeSet<u32>; 2],
     seen: &mut Seen,
 ) {
-    // One of a turn is opened, so that it is the last one of its sender.
-    let (_, counter) = end.peers().find(|(id, _)| *id == sender).expect("a peer");
     let which = PEERS.iter().position(|peer| peer.id == sender);
-    let above = &mut accepted[which.expect("a peer")];
-    assert!(u64::from(counter) >= *above, "a package is opened twice");
-    *above = u64::from(counter) + 1;
+    let accepted = &mut accepted[which.expect("a peer")];
+    assert!(accepted.insert(counter), "a package is opened twice");
     let is = |(id, number, _): &&(SenderId, u32, Plaintext)| *id == sender && *number == counter;
     let (_, _, message) = script.sealed.iter().find(is).expect("sealed by that peer");
     seen.packages[1] += 1;
@@ -363,7 +402,8 @@ fn left(input: &Ends<'_>, local: &[u8], air: &[u8], last: &mut u32) {
             continue;
         }
         assert!(!input.broken && frame.payload().len() == PACKAGE_SIZE);
-        let opened = opener.open(frame.payload()).expect("sealed once, in order");
+        let opened = opener.open_between(frame.payload(), *last + 1..=u32::MAX);
+        let opened = opened.expect("sealed once, in order");
         *last = opened.counter();
         for packet in opened.packets() {
             let packet = packet.expect("whole packets");

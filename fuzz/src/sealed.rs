@@ -40,6 +40,8 @@ pub struct Arrival<'a> {
     pub right: u8,
     /// How far from the last place.
     pub near: i8,
+    /// What was accepted behind the last, of every ninth place: 1, 10, 19 and so on.
+    pub late: u8,
     /// The package.
     pub bytes: &'a [u8],
 }
@@ -61,13 +63,14 @@ fn arrives<H: Specified>(input: &Arrival<'_>) {
     let package = repaired::<H>(input);
     let right = expected::<H>(input.shared, &package).is_some();
     let limit = input.limit.into();
-    let mut opener = receiver::<H>(input.shared, lasts, limit);
-    let verdict = opening::step(&mut opener, limit, input.shared, &package, right);
+    let mut opener = receiver::<H>(input, lasts, limit);
+    let place = 1 + u32::from(input.limit) % opening::WINDOW;
+    let verdict = opening::step(&mut opener, limit, input.shared, &package, right, place);
     // A relay has no packages with epochs.
     let reason = verdict.err().map(SealedRejectReason::from);
     assert!(input.epochs || reason != Some(SealedRejectReason::Other));
 
-    let opened = receiver::<H>(input.shared, lasts, u32::MAX).open(&package);
+    let opened = receiver::<H>(input, lasts, u32::MAX).open(&package);
     if let Ok(opened) = opened {
         let message = expected::<H>(input.shared, &package);
         assert_eq!(Some(*opened.plaintext()), message);
@@ -146,15 +149,19 @@ fn sealed<H: Specified>(
     sealed.expect("AES does not fail")
 }
 
+/// A receiver that has accepted `lasts`, and of the first sender what `late` says.
 fn receiver<H: Specified>(
-    shared: bool,
+    input: &Arrival<'_>,
     lasts: [H::Sequence; 2],
     limit: u32,
 ) -> Opener<2, AesGcm, H> {
-    let mut opener = Opener::<2, AesGcm, H>::with_limit(limit);
+    let mut opener = Opener::<2, AesGcm, H>::with_limit(u32::MAX);
     let key = |which: usize| SealingKey::new(&KEYS[which], SALT).expect("a key");
-    let [one, two] = [0, 1].map(|which: usize| (H::id(IDS[which]), lasts[which]));
-    let senders: &[&[_]] = if shared {
+    let (epoch, newest) = input.last[0];
+    let before = newest.checked_sub(65).filter(|_| !H::never_used(lasts[0]));
+    let before = before.map_or(lasts[0], |counter| H::place_of(epoch, counter));
+    let [one, two] = [(H::id(IDS[0]), before), (H::id(IDS[1]), lasts[1])];
+    let senders: &[&[_]] = if input.shared {
         &[&[one, two]]
     } else {
         &[&[one], &[two]]
@@ -176,6 +183,18 @@ fn receiver<H: Specified>(
     for senders in [&[][..], &[one.0], &[H::id(8), H::id(9)]] {
         assert!(opener.permit(key(0), senders).is_err());
     }
+    if before != lasts[0] {
+        let late = (0..8).filter(|bit| input.late >> bit & 1 == 1);
+        for counter in late.map(|bit| newest - 1 - 9 * bit).chain([newest]) {
+            let sequence = H::place_of(epoch, counter);
+            let mut message = [3; PLAINTEXT_SIZE];
+            let tag = sealed::<H>(0, one.0, sequence, &mut message);
+            let package = [&H::write(one.0, sequence)[..], &message, &tag].concat();
+            let opened = opener.open(&package);
+            assert_eq!(opened.map(|opened| opened.sequence()), Ok(sequence));
+        }
+    }
+    opener.set_limit(limit);
     opener
 }
 
@@ -217,9 +236,8 @@ pub fn seal_open(input: Sealing) {
         Sealer::resume(key(), SenderId(id), first)
     };
     let mut opener = Opener::<1>::new();
-    opener
-        .permit(key(), &[SenderId(id)])
-        .expect("there is room");
+    let last = (SenderId(id), first.max(1) - 1);
+    opener.resume(key(), &[last]).expect("there is room");
     for message in &messages {
         if let Ok(package) = sealer.seal(message) {
             let opened = opener.open(package.as_bytes()).expect("genuine");

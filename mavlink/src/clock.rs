@@ -225,6 +225,14 @@ impl Clock {
         }
     }
 
+    /// The newest key came again, with `initial` as the time now: a clock that is not synced shows it at least, if it
+    /// [may be right](Clock::is_plausible).
+    pub fn raise(&mut self, initial: Timestamp, timer: u64) {
+        if initial > self.now(timer) {
+            self.begin(initial, timer);
+        }
+    }
+
     const fn restart(&mut self, time: Timestamp, timer: u64) {
         let (drift, ceiling) = (self.drift, self.ceiling);
         *self = Self::unsynced(time, timer).drifting(drift).until(ceiling);

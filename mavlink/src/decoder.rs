@@ -192,15 +192,52 @@ enum Intake {
     Open,
     /// They wait: what has begun in the buffer goes no further, and has not been read to its end yet.
     Ended,
+    /// They wait: the line was silent behind what is in the buffer, which has not been read to its end yet.
+    Paused,
     /// They are dropped: they may be the rest of a payload.
     Deaf,
 }
 
-/// Bytes of MAVLink 1 packets under a checksum for each byte that comes in, with [`Resync::NextByte`]: so a flood of
-/// magic bytes costs little. A packet takes one for each byte of its own.
-const CREDIT: usize = 8;
-/// The most of it that is saved up: enough for any packet.
-const MAX_CREDIT: usize = CREDIT * MAX_FRAME_SIZE;
+/// What may be spent on checksums of MAVLink 1 with [`Resync::NextByte`], so that a flood of magic bytes costs little: 8
+/// bytes under a checksum for each byte of the stream. A packet takes one for each byte of its own.
+///
+/// It depends on the place in the stream alone, not on how the stream was cut.
+struct Credit {
+    bytes: u32,
+    /// Up to which place of the stream it was counted, modulo 2^32.
+    place: u32,
+}
+
+impl Credit {
+    /// Enough for any packet, and the most that is saved up.
+    const FULL: Self = Self {
+        bytes: 8 * MAX_FRAME_SIZE as u32,
+        place: 0,
+    };
+
+    /// Whether there is enough for what `pending` begins like, at this `place` of the stream. If so, it is spent.
+    fn affords(&mut self, pending: &[u8], place: u32) -> bool {
+        let size = announced_size(pending).filter(|size| *size <= pending.len());
+        let (Some(&MAGIC_V1), Some(size)) = (pending.first(), size) else {
+            return true;
+        };
+        let end = place.wrapping_add(size as u32);
+        let come = end.wrapping_sub(self.place);
+        // Not if it ends before another that was looked at.
+        if come <= u32::MAX / 2 {
+            let earned = self.bytes.saturating_add(come.saturating_mul(8));
+            self.bytes = earned.min(Self::FULL.bytes);
+            self.place = end;
+        }
+        match self.bytes.checked_sub(size as u32) {
+            Some(left) => {
+                self.bytes = left;
+                true
+            }
+            None => false,
+        }
+    }
+}
 
 /// Finds the packets in a stream of bytes.
 ///
@@ -228,7 +265,9 @@ pub struct Decoder {
     /// Bytes after them that the last packet read holds.
     lent: usize,
     intake: Intake,
-    credit: usize,
+    credit: Credit,
+    /// Bytes that are no longer in the buffer, modulo 2^32.
+    passed: u32,
     dropped: u32,
     resync: Resync,
     crc_extra: fn(MessageId) -> Option<u8>,
@@ -245,7 +284,8 @@ impl Decoder {
             done: 0,
             lent: 0,
             intake: Intake::Open,
-            credit: MAX_CREDIT,
+            credit: Credit::FULL,
+            passed: 0,
             dropped: 0,
             crc_extra,
         }
@@ -257,7 +297,7 @@ impl Decoder {
     pub fn write(&mut self, bytes: &[u8]) -> usize {
         match self.intake {
             Intake::Open => self.append(bytes),
-            Intake::Ended => 0,
+            Intake::Ended | Intake::Paused => 0,
             Intake::Deaf => {
                 self.dropped = self.dropped.saturating_add(bytes.len() as u32);
                 bytes.len()
@@ -277,12 +317,12 @@ impl Decoder {
                 .fill(0);
             self.buffer.truncate(end - done);
             self.done = 0;
+            self.passed = self.passed.wrapping_add(done as u32);
         }
         let room = MAX_FRAME_SIZE - self.buffer.len();
         let taken = bytes.get(..room).unwrap_or(bytes);
         let appended = self.buffer.extend_from_slice(taken);
         debug_assert!(appended.is_ok(), "only as many as there is room for");
-        self.credit = MAX_CREDIT.min(self.credit + CREDIT * taken.len());
         taken.len()
     }
 
@@ -292,7 +332,7 @@ impl Decoder {
         let kept = self.buffer.len() - (self.done + self.lent).min(self.buffer.len());
         match self.intake {
             Intake::Open => MAX_FRAME_SIZE - kept,
-            Intake::Ended => 0,
+            Intake::Ended | Intake::Paused => 0,
             Intake::Deaf => MAX_FRAME_SIZE,
         }
     }
@@ -313,6 +353,7 @@ impl Decoder {
             lent,
             intake,
             credit,
+            passed,
             dropped,
             resync,
             crc_extra,
@@ -320,23 +361,25 @@ impl Decoder {
         loop {
             let pending = buffer.get(*done..).unwrap_or_default();
             if pending.is_empty() {
-                if *intake == Intake::Ended {
+                if *intake != Intake::Deaf {
                     *intake = Intake::Open;
                 }
                 return None;
             }
+            let place = passed.wrapping_add(*done as u32);
             let mut drop = |count: usize| {
                 *done += count;
                 *dropped = dropped.saturating_add(count as u32);
             };
             let searches = *resync == Resync::NextByte;
-            if searches && !afford(credit, pending) {
+            if searches && !credit.affords(pending, place) {
                 drop(1);
                 continue;
             }
             let found = Packet::parse(pending, *crc_extra);
             let cut_short = matches!(found, Err(DecodeError::Parse(ParseError::Truncated)));
-            if cut_short && *intake == Intake::Open {
+            if cut_short && matches!(*intake, Intake::Open | Intake::Paused) {
+                *intake = Intake::Open;
                 return None;
             }
             match found {
@@ -368,8 +411,9 @@ impl Decoder {
     /// packet behind it. With [`Resync::Silence`], the next byte begins a packet, if the place was lost; a packet that
     /// has begun is still waited for.
     pub fn idle(&mut self) {
-        if self.resync == Resync::NextByte || self.intake == Intake::Deaf {
-            self.end();
+        match (self.resync, self.intake) {
+            (Resync::Silence, Intake::Open | Intake::Paused) => self.end(Intake::Paused),
+            _ => self.end(Intake::Ended),
         }
     }
 
@@ -377,19 +421,15 @@ impl Decoder {
     /// far. What has begun is given up. With [`Resync::Silence`] all is dropped until [`idle`](Self::idle).
     pub fn fault(&mut self) {
         match self.resync {
-            Resync::NextByte => self.end(),
+            Resync::NextByte => self.end(Intake::Ended),
             Resync::Silence => self.intake = Intake::Deaf,
         }
     }
 
-    /// What is in the buffer goes no further.
-    fn end(&mut self) {
+    /// What is in the buffer is to be read to its end before more is taken.
+    fn end(&mut self, intake: Intake) {
         let (left, _) = self.begun();
-        self.intake = if left == 0 {
-            Intake::Open
-        } else {
-            Intake::Ended
-        };
+        self.intake = if left == 0 { Intake::Open } else { intake };
     }
 
     /// Whether bytes are dropped until the line is silent: with [`Resync::Silence`] alone.
@@ -488,21 +528,6 @@ impl Decoder {
     #[must_use]
     pub fn noise(pending: &[u8]) -> usize {
         noise(pending)
-    }
-}
-
-/// Whether there is credit for the checksum of what `pending` begins like, which is taken then.
-fn afford(credit: &mut usize, pending: &[u8]) -> bool {
-    let size = announced_size(pending).filter(|size| *size <= pending.len());
-    match (pending.first(), size) {
-        (Some(&MAGIC_V1), Some(size)) => match credit.checked_sub(size) {
-            Some(left) => {
-                *credit = left;
-                true
-            }
-            None => false,
-        },
-        _ => true,
     }
 }
 

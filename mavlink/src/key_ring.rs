@@ -307,6 +307,15 @@ impl<P: Profile> KeyRing<P> {
         }
     }
 
+    /// Where the key is that was given last.
+    #[must_use]
+    pub const fn newest_slot(&self) -> KeySlot {
+        match self.phase {
+            RolloverState::Settled => self.base,
+            _ => self.base.other(),
+        }
+    }
+
     /// The key in `slot`, if there is one.
     #[must_use]
     pub fn key(&self, slot: KeySlot) -> Option<&SigningKey<P>> {
@@ -327,6 +336,18 @@ impl<P: Profile> KeyRing<P> {
         begins.then_some(self.base.other())
     }
 
+    /// Whether there is a new key, and the other end was not heard with it yet.
+    #[must_use]
+    pub const fn is_unheard(&self) -> bool {
+        matches!(self.phase, RolloverState::Offered | RolloverState::Applied) && !self.heard
+    }
+
+    /// Whether `key` is the one that was given last.
+    #[must_use]
+    pub fn is_newest(&self, key: &SigningKey<P>) -> bool {
+        same(key, self.new.as_ref().unwrap_or(&self.old))
+    }
+
     /// Begins to change to `key`, before it is sent to the other end. A key that is already offered can be
     /// offered again, since SETUP_SIGNING may be lost.
     ///
@@ -339,7 +360,7 @@ impl<P: Profile> KeyRing<P> {
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
         let new = Self::prepare(key)?;
-        if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+        if self.is_newest(&new) {
             return Ok(());
         }
         if self.phase != RolloverState::Settled {
@@ -369,7 +390,7 @@ impl<P: Profile> KeyRing<P> {
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
         let new = Self::prepare(key)?;
-        if same(&new, self.new.as_ref().unwrap_or(&self.old)) {
+        if self.is_newest(&new) {
             // Otherwise two ends that were both told to offer it would wait for each other.
             if self.phase == RolloverState::Offered {
                 store.store(KeyChange::Begin(key, RolloverState::Applied))?;

@@ -111,8 +111,17 @@ pub trait Specified: HeaderFormat {
     /// Whether no sender uses `sequence`, since nothing would be after it.
     fn never_used(sequence: Self::Sequence) -> bool;
 
-    /// That `sequence` is not after `last`, if it is not.
-    fn is_stale(sequence: Self::Sequence, last: Self::Sequence) -> Option<OpenError>;
+    /// Whether `sequence` is after `last`.
+    fn is_newer(sequence: Self::Sequence, last: Self::Sequence) -> bool;
+
+    /// That `sequence` was accepted before or is too old, where `newest` was accepted.
+    fn stale_error(sequence: Self::Sequence, newest: Self::Sequence) -> OpenError;
+
+    /// How many counters `high` is above `low`, if it is by 1 to 2^32 - 1 in one epoch.
+    fn above(low: Self::Sequence, high: Self::Sequence) -> Option<u64>;
+
+    /// How many counters are passed over from `last` to `sequence`, each new epoch counted as 65,536.
+    fn jump(last: Self::Sequence, sequence: Self::Sequence) -> u64;
 }
 
 impl Specified for PackageHeader {
@@ -137,8 +146,20 @@ impl Specified for PackageHeader {
         counter == 0xFFFF_FFFF
     }
 
-    fn is_stale(counter: u32, last: u32) -> Option<OpenError> {
-        (counter <= last).then_some(OpenError::Stale { counter, last })
+    fn is_newer(counter: u32, last: u32) -> bool {
+        counter > last
+    }
+
+    fn stale_error(counter: u32, last: u32) -> OpenError {
+        OpenError::Stale { counter, last }
+    }
+
+    fn above(low: u32, high: u32) -> Option<u64> {
+        (high > low).then(|| u64::from(high - low))
+    }
+
+    fn jump(last: u32, counter: u32) -> u64 {
+        Self::above(last, counter).map_or(0, |above| above - 1)
     }
 }
 
@@ -168,10 +189,27 @@ impl Specified for EpochHeader {
         epoch == 0xFFFF || counter == 0xFFFF_FFFF
     }
 
-    fn is_stale(sequence: EpochCounter, last: EpochCounter) -> Option<OpenError> {
-        let newer = sequence.epoch > last.epoch
-            || (sequence.epoch == last.epoch && sequence.counter > last.counter);
-        (!newer).then_some(OpenError::StaleInEpoch { sequence, last })
+    fn is_newer(sequence: EpochCounter, last: EpochCounter) -> bool {
+        sequence.epoch > last.epoch
+            || (sequence.epoch == last.epoch && sequence.counter > last.counter)
+    }
+
+    fn stale_error(sequence: EpochCounter, last: EpochCounter) -> OpenError {
+        OpenError::StaleInEpoch { sequence, last }
+    }
+
+    fn above(low: EpochCounter, high: EpochCounter) -> Option<u64> {
+        let above = low.epoch == high.epoch && high.counter > low.counter;
+        above.then(|| u64::from(high.counter - low.counter))
+    }
+
+    fn jump(last: EpochCounter, sequence: EpochCounter) -> u64 {
+        if sequence.epoch > last.epoch {
+            let epochs = u64::from(sequence.epoch - last.epoch);
+            epochs * 65_536 + u64::from(sequence.counter.max(1) - 1)
+        } else {
+            Self::above(last, sequence).map_or(0, |above| above - 1)
+        }
     }
 }
 

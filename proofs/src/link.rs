@@ -6,6 +6,7 @@ use mavlink_commsec::hx::{Decoder, Frame, FrameKind};
 use mavlink_commsec::{Cipher, Credential, EpochHeader, Opener, PackageHeader, Plaintext, Sealer};
 
 use crate::cipher::Specified;
+use crate::opening::{PASSED_OVER, WINDOW};
 
 /// How many ends a link has: a vehicle, 0, and two stations, 1 and 2.
 pub const ENDS: usize = 3;
@@ -57,7 +58,10 @@ pub trait Linked: Specified {
     /// A sender that begins with `mark`, if it can.
     fn start<C: Cipher>(own: &Credential<Self::Id>, mark: u64) -> Option<Sealer<C, Self>>;
 
-    /// A place as a number that no other has.
+    /// A place below that of the first package after `mark`, and near it.
+    fn before(mark: u64) -> Self::Sequence;
+
+    /// A place as a number that no other has: the epoch from bit 32 on, and the counter.
     fn number(sequence: Self::Sequence) -> u64;
 }
 
@@ -76,6 +80,10 @@ impl Linked for PackageHeader {
         let first = mark.try_into().unwrap_or(u32::MAX);
         let key = own.prepare().expect("a key");
         Some(Sealer::resume(key, own.id, first))
+    }
+
+    fn before(mark: u64) -> u32 {
+        mark.max(1) as u32 - 1
     }
 
     fn number(counter: u32) -> u64 {
@@ -99,29 +107,93 @@ impl Linked for EpochHeader {
         Sealer::begin(key, own.id, mark).ok()
     }
 
+    fn before(mark: u64) -> Self::Sequence {
+        Self::place_of(mark.max(1) as u16 - 1, 0)
+    }
+
     fn number(sequence: Self::Sequence) -> u64 {
         sequence.to_number()
     }
 }
 
-/// What the naive model knows, in plain numbers and sets.
-#[derive(Default)]
+/// What one end knows of another, in plain numbers and sets.
+#[derive(Clone, Default)]
+struct Heard {
+    /// Everything up to here is rejected since the last start.
+    floor: u64,
+    /// Everything accepted, over all starts.
+    accepted: BTreeSet<u64>,
+    /// How many places were passed over since the last start.
+    passed_over: u64,
+}
+
+impl Heard {
+    fn newest(&self) -> u64 {
+        self.floor.max(self.accepted.last().copied().unwrap_or(0))
+    }
+
+    /// What a package would add to the places passed over; `None` if it is not accepted.
+    fn accepts(&self, number: u64) -> Option<u64> {
+        let newest = self.newest();
+        if number <= newest {
+            let same_epoch = number >> 32 == newest >> 32;
+            let late = newest - number <= WINDOW.into() && same_epoch && number > self.floor;
+            return (late && !self.accepted.contains(&number)).then_some(0);
+        }
+        let jump = match ((number >> 32) - (newest >> 32), number & 0xFFFF_FFFF) {
+            (0, _) => number - newest - 1,
+            (epochs, counter) => epochs * 65_536 + counter.max(1) - 1,
+        };
+        (self.passed_over + jump <= PASSED_OVER).then_some(jump)
+    }
+}
+
+/// What the naive model knows.
 struct Naive {
     /// Everything sent: by whom, with which number.
     sent: Vec<(usize, u64)>,
     /// Every nonce: salt, sender, number.
     nonces: BTreeSet<(u32, usize, u64)>,
-    /// Everything accepted: by whom, from whom, with which number.
-    accepted: BTreeSet<(usize, usize, u64)>,
+    /// What each end has heard of each.
+    heard: [[Heard; ENDS]; ENDS],
 }
 
 impl Naive {
-    /// Whether `to` accepts a package that arrives intact: it is newer than all before.
-    fn accepts(&self, to: usize, from: usize, number: u64) -> bool {
+    fn new(floor: u64) -> Self {
+        let heard = || Heard {
+            floor,
+            ..Heard::default()
+        };
+        Self {
+            sent: Vec::new(),
+            nonces: BTreeSet::new(),
+            heard: [(); ENDS].map(|()| [(); ENDS].map(|()| heard())),
+        }
+    }
+
+    /// Whether `to` accepts a package that arrives intact, which is then remembered.
+    fn accepts(&mut self, to: usize, from: usize, number: u64) -> bool {
         let hears = to != from && (to == 0 || from == 0);
-        let before =
-            |(by, of, old): &(usize, usize, u64)| *by == to && *of == from && *old >= number;
-        hears && !self.accepted.iter().any(before)
+        let heard = &mut self.heard[to][from];
+        let jump = heard.accepts(number).filter(|_| hears);
+        if let Some(jump) = jump {
+            heard.passed_over += jump;
+            heard.accepted.insert(number);
+        }
+        jump.is_some()
+    }
+
+    /// `end` starts again, with marks above all that it has accepted.
+    fn restart(&mut self, end: usize) {
+        for heard in &mut self.heard[end] {
+            heard.floor = heard.newest();
+            heard.passed_over = 0;
+        }
+    }
+
+    fn accepted(&self) -> usize {
+        let heard = self.heard.as_flattened().iter();
+        heard.map(|heard| heard.accepted.len()).sum()
     }
 }
 
@@ -202,8 +274,8 @@ fn message(number: usize) -> Plaintext {
 
 /// O1, N1 and F1 in every history: no nonce is used twice, whichever end restarts. No end accepts a
 /// package twice, or one that was not made for it, or one that was damaged. Every package that arrives
-/// intact, and is newer than those accepted of its sender, is accepted, with the message that was
-/// sealed. Returns how many were accepted.
+/// intact, and is newer than those accepted of its sender, or not too far behind them, is accepted, with the
+/// message that was sealed; unless too many were passed over. Returns how many were accepted.
 ///
 /// Every end counts from `first`, or begins with an epoch that is made of it.
 ///
@@ -214,8 +286,8 @@ fn message(number: usize) -> Plaintext {
 pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
     let mark = H::first_mark(first);
     let mut ends: [End<C, H>; ENDS] =
-        core::array::from_fn(|end| End::start(end, mark, |_| H::ZERO));
-    let mut naive = Naive::default();
+        core::array::from_fn(|end| End::start(end, mark, |_| H::before(mark)));
+    let mut naive = Naive::new(H::number(H::before(mark)));
     let mut lines: Vec<Vec<u8>> = Vec::new();
     for step in steps {
         match *step {
@@ -249,7 +321,6 @@ pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
                     let accepted = end.receive(&lines[sent]);
                     let mut expected = Vec::new();
                     if naive.accepts(to, from, number) {
-                        naive.accepted.insert((to, from, number));
                         expected.push((from, number, message(sent)));
                     }
                     assert_eq!(accepted, expected, "at {to}");
@@ -274,10 +345,11 @@ pub fn history<C: Cipher, H: Linked>(first: u32, steps: &[Step]) -> usize {
             Step::Restart { end, ahead } => {
                 let end = usize::from(end) % ENDS;
                 ends[end].restart(end, ahead);
+                naive.restart(end);
             }
         }
     }
-    naive.accepted.len()
+    naive.accepted()
 }
 
 fn which(count: usize, back: u8) -> Option<usize> {
@@ -289,7 +361,7 @@ mod tests {
     use super::*;
     use embedded_storage::nor_flash::NorFlash as _;
     use mavlink_commsec::AesGcm;
-    use mavseal_store::{HighWaterMark, Region};
+    use mavseal_store::{Binding, HighWaterMark, MarkError, Region};
 
     use crate::mark::{Cut, Small};
 
@@ -365,9 +437,10 @@ mod tests {
         // The vehicle's package is accepted by both stations, a station's by the vehicle.
         assert_eq!(check(&[send(0), deliver(0)]), 2);
         assert_eq!(check(&[send(1), deliver(0), send(2), deliver(0)]), 2);
-        // Twice, late, and lost.
+        // Twice, overtaken, and lost.
         assert_eq!(check(&[send(1), deliver(0), deliver(0)]), 1);
-        assert_eq!(check(&[send(1), send(1), deliver(0), deliver(1)]), 1);
+        let overtaken = [send(1), send(1), deliver(0), deliver(1), deliver(1)];
+        assert_eq!(check(&overtaken), 2);
         assert_eq!(check(&[send(1), send(1), deliver(0)]), 1);
         // Damaged, and then whole.
         let damage = Step::Damage { back: 0, bit: 400 };
@@ -376,6 +449,9 @@ mod tests {
         let restart = |end, ahead| Step::Restart { end, ahead };
         let again = [send(1), deliver(0), restart(0, 0), deliver(0)];
         assert_eq!(check(&again), 1);
+        // Nor what was overtaken before it.
+        let late = [send(1), send(1), deliver(0), restart(0, 0), deliver(1)];
+        assert_eq!(check(&late), 1);
         let new = [send(1), deliver(0), restart(1, 200), send(1), deliver(0)];
         assert_eq!(check(&new), 2);
         // At the end of all counters nothing is sent.
@@ -395,6 +471,7 @@ mod tests {
             start: 0,
             page_size: Small::ERASE_SIZE as u32,
         };
+        let binding = Binding::new(0x45, [1, 2, 3, 4]);
         let mut random = fastrand::Rng::with_seed(8);
         let (mut begun, mut failed) = (0, 0);
         for _ in 0..200 {
@@ -402,10 +479,17 @@ mod tests {
             let mut used = BTreeSet::new();
             for _ in 0..40 {
                 flash.restart(Cut {
-                    after: random.u8(..4),
+                    after: random.u8(..20),
                     left: random.u32(..).to_le_bytes(),
                 });
-                let Ok(mut mark) = HighWaterMark::open(&mut flash, region) else {
+                // A cut before the first mark was whole has used nothing.
+                let mark = match HighWaterMark::open(&mut flash, region, binding) {
+                    Err(MarkError::NotProvisioned) if used.is_empty() => {
+                        HighWaterMark::provision(&mut flash, region, binding, 0).ok()
+                    }
+                    opened => opened.ok(),
+                };
+                let Some(mut mark) = mark else {
                     failed += 1;
                     continue;
                 };

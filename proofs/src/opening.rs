@@ -1,4 +1,4 @@
-//! O1 and O2: a package is accepted once and in order, and nothing of it is seen before.
+//! O1 and O2: a package is accepted once, and nothing of it is seen before.
 //!
 //! That [`Opened`](mavlink_commsec::Opened) comes from nowhere else, and counts once, is a matter of
 //! types. These programs must not compile, and each differs in one line from one that does.
@@ -45,15 +45,24 @@
 use mavlink_commsec::field::{HEADER_SIZE, PACKAGE_SIZE, PLAINTEXT_SIZE, TAG_SIZE};
 use mavlink_commsec::{Cipher, HeaderFormat, OpenError, Opener, SealingKey};
 
+/// How many counters behind the newest are taken.
+pub const WINDOW: u32 = 64;
+/// How many counters may be passed over.
+pub const PASSED_OVER: u64 = 67_108_864;
+
 use crate::cipher::{Specified, Told, Verdict, nonce_of};
 
-/// What is known of one sender: who, the last place, and the wrong tags of his key.
+/// What is known of one sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row<I, P> {
     /// Who.
     pub sender: I,
-    /// The last place accepted.
+    /// The newest place accepted.
     pub last: P,
+    /// Which places behind it are rejected, from bit 0 on.
+    pub behind: u64,
+    /// How many were passed over.
+    pub passed_over: u32,
     /// Wrong tags counted for his key.
     pub failed: u32,
 }
@@ -63,14 +72,15 @@ type Rows<H> = [Option<Row<<H as HeaderFormat>::Id, <H as HeaderFormat>::Sequenc
 
 /// O1, one step from any state: a package is accepted if and only if all of these hold. It has 96 bytes,
 /// its sender is permitted, and its counter (and epoch) is one that senders use. It is newer than the
-/// last accepted of him, his key has not had too many wrong tags, and its tag is right. Otherwise the
-/// error names the first that is wrong. What is accepted is then the last of its sender, and the same
-/// again is rejected; of other senders nothing changes. What is rejected changes nothing, but a wrong
-/// tag is counted, once, for everybody who has that key.
+/// newest accepted of him, or up to 64 counters behind that in its epoch and not accepted before. His key has
+/// not had too many wrong tags, its tag is right, and no more than 2^26 counters of his will have been passed
+/// over with it. Otherwise the error names the first that is wrong. What is accepted is then remembered, and the
+/// same again is rejected; of other packages and senders nothing changes. What is rejected changes nothing, but
+/// a wrong tag is counted, once, for everybody who has that key.
 ///
 /// Every history is a sequence of such steps, so each package is accepted at most once in every
 /// history. `right` tells whether the cipher takes the tag for right; `shared` whether the second sender
-/// has the first one's key.
+/// has the first one's key; `place`, 1 to 64, how far behind the newest the memory is looked at.
 ///
 /// # Errors
 ///
@@ -85,6 +95,7 @@ pub fn step<C: Cipher, H: Specified>(
     shared: bool,
     package: &[u8],
     right: bool,
+    place: u32,
 ) -> Result<(), OpenError> {
     let before = rows(opener);
     let expected = specified::<H>(&before, limit, package, right);
@@ -93,27 +104,64 @@ pub fn step<C: Cipher, H: Specified>(
 
     let header = header_of::<H>(package);
     let known = header.is_some_and(|(sender, _)| permitted::<H>(&before, sender).is_some());
-    let after = before.map(|row| {
-        let (mut row, (sender, sequence)) = row.zip(header)?;
-        let his = row.sender == sender;
-        if his && verdict.is_ok() {
-            row.last = sequence;
+    let remembered = rows(opener);
+    for (row, now) in before.into_iter().zip(remembered) {
+        let Some((mut row, now)) = row.zip(now) else {
+            continue;
+        };
+        if let Some((sender, sequence)) = header {
+            let his = row.sender == sender;
+            if his && verdict.is_ok() {
+                let is_rejected = now.behind >> (place - 1) & 1 == 1;
+                assert_eq!(is_rejected, rejected_after::<H>(&row, sequence, place));
+                row.behind = now.behind;
+                row.passed_over += H::jump(row.last, sequence) as u32;
+                if H::is_newer(sequence, row.last) {
+                    row.last = sequence;
+                }
+            }
+            let has_key = his || (shared && known);
+            if has_key && verdict == Err(OpenError::BadTag) {
+                row.failed += 1;
+            }
         }
-        let has_key = his || (shared && known);
-        if has_key && verdict == Err(OpenError::BadTag) {
-            row.failed += 1;
-        }
-        Some(row)
-    });
-    let after = if header.is_some() { after } else { before };
-    assert_eq!(rows(opener), after);
+        assert_eq!(now, row);
+    }
 
-    if let (Ok(()), Some((_, sequence))) = (verdict, header) {
-        let again = opener.open(package).map_err(Some);
-        assert_eq!(again.map(drop), Err(H::is_stale(sequence, sequence)));
-        assert_eq!(rows(opener), after);
+    if let (Ok(()), Some((sender, sequence))) = (verdict, header) {
+        let newest = permitted::<H>(&remembered, sender).expect("permitted").last;
+        let again = opener.open(package).map(drop);
+        assert_eq!(again, Err(H::stale_error(sequence, newest)));
+        assert_eq!(rows(opener), remembered);
     }
     verdict
+}
+
+/// Whether the counter `place` behind the newest is rejected once `sequence` has been accepted.
+fn rejected_after<H: Specified>(
+    before: &Row<H::Id, H::Sequence>,
+    sequence: H::Sequence,
+    place: u32,
+) -> bool {
+    let was = |place: u64| before.behind >> (place - 1) & 1 == 1;
+    let place = u64::from(place);
+    if !H::is_newer(sequence, before.last) {
+        return was(place) || H::above(sequence, before.last) == Some(place);
+    }
+    match H::above(before.last, sequence) {
+        Some(jump) if place > jump => was(place - jump),
+        Some(jump) => place == jump,
+        None => false,
+    }
+}
+
+/// Whether the place is one that may be accepted.
+fn is_fresh<H: Specified>(
+    Row { last, behind, .. }: &Row<H::Id, H::Sequence>,
+    sequence: H::Sequence,
+) -> bool {
+    let late = H::above(sequence, *last).filter(|place| *place <= u64::from(WINDOW));
+    H::is_newer(sequence, *last) || late.is_some_and(|place| behind >> (place - 1) & 1 == 0)
 }
 
 /// What the receiver remembers of each sender.
@@ -125,6 +173,8 @@ fn rows<C: Cipher, H: Specified>(opener: &Opener<2, C, H>) -> Rows<H> {
         Some(Row {
             sender,
             last,
+            behind: opener.behind(sender).expect("permitted"),
+            passed_over: opener.passed_over(sender).expect("permitted"),
             failed,
         })
     })
@@ -153,21 +203,23 @@ fn specified<H: Specified>(
     let wrong_length = OpenError::WrongLength(package.len());
     let (sender, sequence) = header_of::<H>(package).ok_or(wrong_length)?;
     let unknown = OpenError::UnknownSender(sender.into());
-    let Row { last, failed, .. } = permitted::<H>(rows, sender).ok_or(unknown)?;
+    let row = permitted::<H>(rows, sender).ok_or(unknown)?;
     if H::never_used(sequence) {
         return Err(OpenError::NoCounter(sender.into()));
     }
-    if let Some(stale) = H::is_stale(sequence, last) {
-        return Err(stale);
+    if !is_fresh::<H>(&row, sequence) {
+        return Err(H::stale_error(sequence, row.last));
     }
-    if failed >= limit {
+    if row.failed >= limit {
         return Err(OpenError::IntegrityLimitReached);
     }
-    if right {
-        Ok(())
-    } else {
-        Err(OpenError::BadTag)
+    if !right {
+        return Err(OpenError::BadTag);
     }
+    if u64::from(row.passed_over) + H::jump(row.last, sequence) > PASSED_OVER {
+        return Err(OpenError::JumpTooFar(sender.into()));
+    }
+    Ok(())
 }
 
 /// O2: a message comes out if and only if the cipher has found the tag right. It is then what the cipher
@@ -210,9 +262,54 @@ pub fn comes_out<H: Specified>(
     true
 }
 
-/// Whether a sender may use `sequence`, and it is after `last`.
+/// O1 with a clock, from any state of one sender that was resumed: a package is accepted if and only if its sequence
+/// number is one that senders use, it is newer than `last`, its tag is right, and it lies from `earliest` to `latest`.
+/// Otherwise the error names the first that is wrong, and nothing changes. How far it jumps does not matter, and is
+/// not counted. Returns the verdict.
+///
+/// # Errors
+///
+/// The verdict, where it is a rejection.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn between<H: Specified>(
+    last: H::Sequence,
+    verdict: Verdict,
+    package: &[u8; PACKAGE_SIZE],
+    earliest: H::Sequence,
+    latest: H::Sequence,
+) -> Result<(), OpenError> {
+    let key = SealingKey::<Told, H>::new(&Told::key(verdict), 9).expect("a key");
+    let (sender, sequence) = header_of::<H>(package).expect("96 bytes");
+    let mut opener = Opener::<1, Told, H>::new();
+    opener.resume(key, &[(sender, last)]).expect("room");
+    let expected = if H::never_used(sequence) {
+        Err(OpenError::NoCounter(sender.into()))
+    } else if !H::is_newer(sequence, last) {
+        Err(H::stale_error(sequence, last))
+    } else if verdict != Verdict::Right {
+        Err(OpenError::BadTag)
+    } else if H::is_newer(earliest, sequence) {
+        Err(OpenError::TooOld(sender.into()))
+    } else if H::is_newer(sequence, latest) {
+        Err(OpenError::FromFuture(sender.into()))
+    } else {
+        Ok(())
+    };
+    let opened = opener.open_between(package, earliest..=latest).map(drop);
+    assert_eq!(opened, expected);
+    let newest = if opened.is_ok() { sequence } else { last };
+    assert!(opener.senders().next() == Some((sender, newest)));
+    assert_eq!(opener.passed_over(sender), Some(0));
+    opened
+}
+
+/// Whether a sender may use `sequence`, and it is after `last`, and not too far.
 fn is_newer<H: Specified>(sequence: H::Sequence, last: H::Sequence) -> bool {
-    !H::never_used(sequence) && H::is_stale(sequence, last).is_none()
+    let jump = H::jump(last, sequence);
+    !H::never_used(sequence) && H::is_newer(sequence, last) && jump <= PASSED_OVER
 }
 
 #[cfg(test)]
@@ -264,13 +361,34 @@ mod tests {
     /// Which key, who, epoch and counter, and what is wrong with the package.
     type Sealed = (usize, u32, Sequence, u8);
 
+    /// A step, and the memory at every place behind the newest.
+    fn step_everywhere<H: Specified>(
+        opener: &mut Opener<2, AesGcm, H>,
+        limit: u32,
+        shared: bool,
+        package: &[u8],
+        right: bool,
+    ) -> Result<(), OpenError> {
+        let before = rows(opener);
+        let verdict = step(opener, limit, shared, package, right, 1);
+        if let (Ok(()), Some((sender, sequence))) = (verdict, header_of::<H>(package)) {
+            let [before, after] = [&before, &rows(opener)]
+                .map(|rows| permitted::<H>(rows, sender).expect("permitted"));
+            for place in 1..=WINDOW {
+                let is_rejected = after.behind >> (place - 1) & 1 == 1;
+                assert_eq!(is_rejected, rejected_after::<H>(&before, sequence, place));
+            }
+        }
+        verdict
+    }
+
     fn random<H: Specified>(shared: bool, lasts: [Sequence; 2], limit: u32, packages: &[Sealed]) {
         let mut opener = receiver::<H>(shared, lasts, limit);
         for (which, id, (epoch, counter), fault) in packages {
-            let counter = if counter % 3 == 0 {
-                *counter
-            } else {
-                1 + counter % 12
+            let counter = match counter % 4 {
+                0 => *counter,
+                1 => counter >> 6,
+                _ => 1 + counter % 90,
             };
             let mut bytes = package::<H>(*which, *id, (*epoch, counter)).to_vec();
             match fault {
@@ -282,7 +400,7 @@ mod tests {
             }
             let own_key = if shared || *id == 5 { 0 } else { 1 };
             let right = *fault > 1 && *which == own_key;
-            let _ = step(&mut opener, limit, shared, &bytes, right);
+            let _ = step_everywhere(&mut opener, limit, shared, &bytes, right);
         }
     }
 
@@ -294,7 +412,7 @@ mod tests {
             limit in 0..4_u32,
             packages in proptest::collection::vec(
                 (0..2_usize, 4..8_u32, (0..5_u16, 1..u32::MAX), 0..9_u8),
-                0..12,
+                0..24,
             ),
         ) {
             random::<PackageHeader>(shared, lasts, limit, &packages);
@@ -326,7 +444,7 @@ mod tests {
                 bytes[..HEADER_SIZE].copy_from_slice(&H::write(H::id(5), claimed));
                 let mut opener = receiver::<H>(true, [*last, (0, 0)], 3);
                 let right = claimed == place_of::<H>((0, 1));
-                let _ = step(&mut opener, 3, true, &bytes, right);
+                let _ = step(&mut opener, 3, true, &bytes, right, 1);
             }
         }
     }
@@ -338,10 +456,10 @@ mod tests {
                 for id in [5, 6, 5, 6, 5, 6] {
                     let which = usize::from(!shared && id == 6);
                     let forged = package::<H>(1 - which, id, (0, 1));
-                    let _ = step(&mut opener, limit, shared, &forged, false);
+                    let _ = step(&mut opener, limit, shared, &forged, false, 1);
                 }
                 let genuine = package::<H>(0, 5, (0, 1));
-                let worn = step(&mut opener, limit, shared, &genuine, true);
+                let worn = step(&mut opener, limit, shared, &genuine, true, 1);
                 assert_eq!(worn, Err(OpenError::IntegrityLimitReached));
             }
         }
@@ -358,6 +476,57 @@ mod tests {
         wears_out::<EpochHeader>();
     }
 
+    /// Every place behind the newest, and every jump after it: each package is taken once.
+    fn overtaking<H: Specified>() {
+        for jump in 1..=WINDOW + 3 {
+            let mut opener = receiver::<H>(true, [(1, 1000), (0, 0)], 3);
+            let newest = 1002 + jump;
+            let mut take = |counter| {
+                let package = package::<H>(0, 5, (1, counter));
+                step_everywhere(&mut opener, 3, true, &package, true).is_ok()
+            };
+            assert!(take(1002) && take(newest) && !take(1002));
+            for counter in 990..newest {
+                let fresh = counter > 1000 && counter != 1002 && newest - counter <= WINDOW;
+                assert_eq!(take(counter), fresh, "{counter} behind {newest}");
+            }
+        }
+    }
+
+    /// Jumps that sum up to all that may be passed over, and one counter more.
+    fn jumping<H: Specified>() {
+        let all = PASSED_OVER as u32;
+        let mut opener = receiver::<H>(true, [(1, 1), (0, 0)], 3);
+        for (counter, accepted) in [
+            (all + 3, false),
+            (all / 2, true),
+            (all + 4, false),
+            (all + 3, true),
+            (all + 5, false),
+            (all + 4, true),
+            (all - 3, true),
+            (all - 61, false),
+            (all, true),
+            (u32::MAX - 1, false),
+        ] {
+            let package = package::<H>(0, 5, (1, counter));
+            let verdict = step_everywhere(&mut opener, 3, true, &package, true);
+            assert_eq!(verdict.is_ok(), accepted, "{counter}");
+        }
+    }
+
+    #[test]
+    fn o1_window() {
+        overtaking::<PackageHeader>();
+        overtaking::<EpochHeader>();
+    }
+
+    #[test]
+    fn o1_jumps() {
+        jumping::<PackageHeader>();
+        jumping::<EpochHeader>();
+    }
+
     /// Every other length.
     #[test]
     fn o1_lengths() {
@@ -365,9 +534,31 @@ mod tests {
         let bytes = bytes.as_flattened();
         for length in 0..=bytes.len() {
             let mut opener = receiver::<PackageHeader>(true, [(0, 0); 2], 3);
-            let verdict = step(&mut opener, 3, true, &bytes[..length], true);
+            let verdict = step(&mut opener, 3, true, &bytes[..length], true, 1);
             assert_eq!(verdict.is_ok(), length == 96);
         }
+    }
+
+    /// Every edge of what is fresh by the clock.
+    #[test]
+    fn o1_between() {
+        fn edges<H: Specified>(epoch: u16) {
+            let at = |counter| H::place_of(epoch, counter);
+            for counter in [0, 1, 9, 10, 11, 3_000_000_000, u32::MAX - 1, u32::MAX] {
+                let mut package = [7; PACKAGE_SIZE];
+                package[..HEADER_SIZE].copy_from_slice(&H::write(H::id(5), at(counter)));
+                for last in [0, 9, 10, 11] {
+                    for (earliest, latest) in [(0, u32::MAX), (10, 10), (11, 20), (0, 9), (20, 3)] {
+                        for verdict in [Verdict::Right, Verdict::Wrong, Verdict::Fails] {
+                            let (earliest, latest) = (at(earliest), at(latest));
+                            let _ = between::<H>(at(last), verdict, &package, earliest, latest);
+                        }
+                    }
+                }
+            }
+        }
+        edges::<PackageHeader>(0);
+        edges::<EpochHeader>(3);
     }
 
     /// A place that no sender uses: nothing comes out, however new it is.
@@ -395,7 +586,9 @@ mod tests {
             for at in 0..PLAINTEXT_SIZE {
                 for last in [0, counter - 1, counter, counter + 1] {
                     let out = comes_out::<PackageHeader>(1, last, verdict, &package, at);
-                    assert_eq!(out, last < counter && verdict == Verdict::Right);
+                    // From 0 it is too far.
+                    let near = last < counter && last > 0;
+                    assert_eq!(out, near && verdict == Verdict::Right);
                 }
                 let (epoch, counter) = (0x0405, 0x0001_0203);
                 for last in [
@@ -407,7 +600,7 @@ mod tests {
                     sequence(epoch + 1, 0),
                 ] {
                     let out = comes_out::<EpochHeader>(1, last, verdict, &package, at);
-                    let newer = last < sequence(epoch, counter);
+                    let newer = last < sequence(epoch, counter) && last.epoch > 0;
                     assert_eq!(out, newer && verdict == Verdict::Right);
                 }
             }
@@ -438,27 +631,40 @@ mod verification {
         let rows: [(u32, u16, u32); 2] = kani::any();
         let [one, two] = rows.map(|(id, epoch, last)| (H::id(id), H::place_of(epoch, last)));
         kani::assume(one.0 != two.0);
+        let (behind, passed_over): ([u64; 2], [u32; 2]) = (kani::any(), kani::any());
+        kani::assume(
+            passed_over
+                .iter()
+                .all(|passed| u64::from(*passed) <= PASSED_OVER),
+        );
         let (limit, failed): (u32, [u32; 2]) = (kani::any(), kani::any());
         // No state in which more were counted than are let be: the count stops there.
         kani::assume(failed.iter().all(|failed| *failed <= limit));
         let opener = Opener::<2, Told, H>::with_limit(limit);
         let opener = opener.with_key(key(0), failed[0]);
-        let opener = opener.with_sender(one.0, 0, one.1);
+        let opener = opener.with_sender(one.0, 0, one.1, behind[0], passed_over[0]);
         let mut opener = if shared {
-            opener.with_sender(two.0, 0, two.1)
+            opener.with_sender(two.0, 0, two.1, behind[1], passed_over[1])
         } else {
             let opener = opener.with_key(key(1), failed[1]);
-            opener.with_sender(two.0, 1, two.1)
+            opener.with_sender(two.0, 1, two.1, behind[1], passed_over[1])
         };
 
         let bytes: [u8; PACKAGE_SIZE + 1] = kani::any();
         let package = any_prefix(&bytes);
         let second = header_of::<H>(package).is_some_and(|(sender, _)| sender == two.0);
         let right = right[usize::from(second && !shared)];
-        let verdict = step(&mut opener, limit, shared, package, right);
+        let place = kani::any();
+        kani::assume((1..=WINDOW).contains(&place));
+        let late = header_of::<H>(package).is_some_and(|(sender, sequence)| {
+            sender == one.0 && H::above(sequence, one.1) == Some(WINDOW.into())
+        });
+        let verdict = step(&mut opener, limit, shared, package, right, place);
         // What is wiped is no part of this.
         core::mem::forget(opener);
         kani::cover!(verdict.is_ok() && second, "accepted of the second");
+        kani::cover!(verdict.is_ok() && late, "accepted at the end of the window");
+        kani::cover!(matches!(verdict, Err(OpenError::JumpTooFar(_))), "too far");
         kani::cover!(
             verdict == Err(OpenError::IntegrityLimitReached) && limit > 0,
             "worn out"
@@ -510,6 +716,25 @@ mod verification {
         kani::cover!(
             matches!(verdict, Err(OpenError::UnknownSender(_))),
             "unknown"
+        );
+    }
+
+    #[kani::proof]
+    #[kani::unwind(97)]
+    fn o1_between_any() {
+        let verdict = if kani::any() {
+            Verdict::Right
+        } else {
+            Verdict::Wrong
+        };
+        let package: [u8; PACKAGE_SIZE] = kani::any();
+        let [last, earliest, latest] = kani::any::<[u32; 3]>();
+        let opened = between::<PackageHeader>(last, verdict, &package, earliest, latest);
+        kani::cover!(opened.is_ok(), "accepted");
+        kani::cover!(matches!(opened, Err(OpenError::TooOld(_))), "too old");
+        kani::cover!(
+            matches!(opened, Err(OpenError::FromFuture(_))),
+            "from the future"
         );
     }
 

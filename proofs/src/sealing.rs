@@ -162,6 +162,20 @@ pub fn next_is_one_greater(epoch: u16, counter: u32) {
     assert_eq!((next.epoch, next.counter), (epoch, after));
 }
 
+/// N1, of counters that follow a clock: the next one is `clock`, or the one that was next if that is greater. It never
+/// goes back, and behind the last there is none.
+///
+/// # Panics
+///
+/// If the property does not hold.
+pub fn follows_a_clock(first: u32, clock: u32) {
+    let key = SealingKey::<Told>::new(&Told::key(Verdict::Right), 1).expect("a key");
+    let mut sealer = Sealer::resume(key, SenderId(5), first);
+    sealer.advance_to(clock);
+    let next = Some(clock.max(first).max(1)).filter(|next| *next < u32::MAX);
+    assert_eq!(sealer.next_counter(), next);
+}
+
 /// Seals `messages`, and compares with what must come out, from counter `first` on.
 #[allow(
     clippy::too_many_arguments,
@@ -297,6 +311,16 @@ mod tests {
     }
 
     #[test]
+    fn n1_clock() {
+        let counters = [0, 1, 2, 0xFFFF, u32::MAX - 1, u32::MAX];
+        for first in counters {
+            for clock in counters {
+                follows_a_clock(first, clock);
+            }
+        }
+    }
+
+    #[test]
     fn n1_edges() {
         let edges = [
             0,
@@ -335,6 +359,15 @@ mod verification {
         let counter = kani::any();
         next_is_one_greater(kani::any(), counter);
         kani::cover!(counter == u32::MAX - 1, "the last counter of all");
+    }
+
+    #[kani::proof]
+    #[kani::unwind(17)]
+    fn n1_follows_a_clock() {
+        let (first, clock) = (kani::any(), kani::any());
+        follows_a_clock(first, clock);
+        kani::cover!(first > clock && clock > 1, "it does not go back");
+        kani::cover!(clock == u32::MAX, "behind all counters");
     }
 
     /// What the cipher cannot seal is not sent, and its counter is used up.

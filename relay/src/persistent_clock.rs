@@ -74,8 +74,8 @@ pub struct PersistentClock<F, T> {
 enum KeyMark<F> {
     /// There is no key in the slot.
     Unused(F),
-    /// Its mark, and what it was at the start, or the first timestamp of a new key.
-    Of(HighWaterMark<F>, Timestamp),
+    /// Its mark, and what it was at the start, or the first timestamp of a new key; beyond 48 bits if all are used up.
+    Of(HighWaterMark<F>, u64),
     /// The flash failed when a new key was to be remembered.
     Failed,
 }
@@ -83,7 +83,10 @@ enum KeyMark<F> {
 impl<F: NorFlash> KeyMark<F> {
     const fn floor(&self) -> Timestamp {
         match self {
-            Self::Of(_, floor) => *floor,
+            Self::Of(_, floor) => match Timestamp::from_ticks(*floor) {
+                Some(floor) => floor,
+                None => Timestamp::MAX,
+            },
             _ => Timestamp::MAX,
         }
     }
@@ -119,14 +122,14 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
                 None => Ok(KeyMark::Unused(flash)),
                 Some(key) => {
                     let mark = HighWaterMark::open(flash, region, binding(key.fingerprint()))?;
-                    let floor = Timestamp::from_ticks(mark.get()).unwrap_or(Timestamp::MAX);
+                    let floor = mark.get();
                     Ok(KeyMark::Of(mark, floor))
                 }
             }
         };
         let [a, b] = flashes;
         let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
-        Ok(Self::with(marks, region, keys.signing_slot(), timer))
+        Ok(Self::with(marks, region, keys.newest_slot(), timer))
     }
 
     /// The same for a first key, with which nothing was ever signed or accepted: whatever `flashes` hold is forgotten.
@@ -146,13 +149,13 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
                 Some(key) => {
                     let mark =
                         HighWaterMark::provision(flash, region, binding(key.fingerprint()), 0)?;
-                    Ok(KeyMark::Of(mark, Timestamp::ZERO))
+                    Ok(KeyMark::Of(mark, 0))
                 }
             }
         };
         let [a, b] = flashes;
         let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
-        Ok(Self::with(marks, region, keys.signing_slot(), timer))
+        Ok(Self::with(marks, region, keys.newest_slot(), timer))
     }
 
     fn with(marks: [KeyMark<F>; 2], region: Region, newest: KeySlot, mut timer: T) -> Self {
@@ -258,7 +261,7 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         // A mark behind the last timestamp would end the key before its time.
         let ahead = ahead.min(Timestamp::MAX.ticks_since(stamp));
         match slot.of_mut(&mut self.marks) {
-            KeyMark::Of(mark, floor) if stamp >= *floor => {
+            KeyMark::Of(mark, floor) if stamp.ticks() >= *floor => {
                 let reserved = mark.reserve(stamp.ticks(), ahead);
                 reserved.map_err(|_| NotStored)
             }
@@ -290,10 +293,19 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
             KeyMark::Failed => return Err(NotStored),
         };
         let begun = HighWaterMark::provision(flash, self.region, binding(key), first.ticks());
-        *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first);
+        *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first.ticks());
         self.newest = slot;
         self.clock.begin(initial, timer);
         Ok(first)
+    }
+
+    fn repeat_key(&mut self, initial: Timestamp, heard: bool) {
+        let timer = (self.timer)();
+        if heard {
+            self.clock.raise(initial, timer);
+        } else {
+            self.clock.begin(initial, timer);
+        }
     }
 
     fn on_accepted(&mut self, frame: &Verified<'_>) {

@@ -54,18 +54,14 @@ impl Lane {
         dropped
     }
 
-    /// When time changes something for the line that is read. While a frame waits to go out, what has come in waits
-    /// too, and time stands still for it.
+    /// When time changes something for the line that is read.
     pub(crate) fn due_at(&self) -> Option<u64> {
-        if self.sending.is_some() {
-            return None;
-        }
-        self.reader.due_at()
+        self.reader.due_at(self.sending.is_some())
     }
 
     /// Does what is due at `now`; whether there was something.
     pub(crate) fn poll(&mut self, now: u64) -> bool {
-        self.sending.is_none() && self.reader.poll(now)
+        self.reader.poll(now, self.sending.is_some())
     }
 }
 
@@ -113,8 +109,15 @@ impl<T: PacketHandler> Pump<T> {
         observe: &mut impl FnMut(Event),
     ) -> bool {
         let Self { lane, handler } = self;
-        let processed = match lane.reader.read() {
-            None => Ok(None),
+        let read = lane.reader.read();
+        let processed = match read {
+            None => {
+                // What has no magic byte is no error, but something came.
+                if lane.reader.is_deaf() {
+                    handler.no_packet();
+                }
+                Ok(None)
+            }
             Some(Err(error)) => {
                 handler.no_packet();
                 Err((error.into(), None))

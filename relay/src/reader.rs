@@ -69,6 +69,10 @@ impl PacketReader {
 
     /// Takes bytes that came in at `now`, as many as there is room for.
     pub(crate) fn write(&mut self, bytes: &[u8], now: u64) -> usize {
+        // What came after a silence is heard, whether or not anybody has asked meanwhile.
+        if self.resync == Resync::Silence && !bytes.is_empty() {
+            self.poll(now, false);
+        }
         let count = self.decoder.write(bytes);
         if count > 0 {
             self.arrived(now);
@@ -102,29 +106,33 @@ impl PacketReader {
         self.decoder.read()
     }
 
+    /// Whether bytes are dropped until the line is silent.
+    pub(crate) fn is_deaf(&self) -> bool {
+        self.decoder.is_deaf()
+    }
+
     /// Bytes that belonged to no packet.
     pub(crate) const fn dropped(&self) -> u32 {
         self.decoder.dropped()
     }
 
-    /// What came before `now`, the sender may have held back: time begins anew.
+    /// What the sender has begun before `now`, it may have held back: its time begins anew.
     pub(crate) fn restart_timer(&mut self, now: u64) {
-        self.last = now;
         self.arrivals.clear();
         let (begun, _) = self.decoder.begun();
         let before = self.heard.wrapping_sub(begun as u32);
         let _ = self.arrivals.push_back((before, now));
     }
 
-    /// When time changes something, unless more bytes come, and provided that all is read: a deaf side hears again, or a
-    /// packet that has begun is given up.
-    pub(crate) fn due_at(&self) -> Option<u64> {
+    /// When time changes something, unless more bytes come: a deaf side hears again, or a packet that has begun is given
+    /// up. While the reader is `blocked`, what has come in waits to be read, and time stands still for it.
+    pub(crate) fn due_at(&self, blocked: bool) -> Option<u64> {
         if self.resync == Resync::Silence {
             let deaf = self.decoder.is_deaf();
             return deaf.then(|| self.last.saturating_add(self.idle).saturating_add(1));
         }
         let (begun, announced) = self.decoder.begun();
-        if begun == 0 {
+        if begun == 0 || blocked {
             return None;
         }
         // The time of the noted arrival that the first byte came with, or after.
@@ -143,8 +151,8 @@ impl PacketReader {
 
     /// Does what is due at `now`; whether there was something. To be [read](PacketReader::read) to the end, and asked
     /// again.
-    pub(crate) fn poll(&mut self, now: u64) -> bool {
-        let due = self.due_at().is_some_and(|at| now >= at);
+    pub(crate) fn poll(&mut self, now: u64, blocked: bool) -> bool {
+        let due = self.due_at(blocked).is_some_and(|at| now >= at);
         if due {
             match self.resync {
                 Resync::Silence => self.decoder.idle(),

@@ -146,7 +146,9 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
     }
 
     /// Takes over the key of `setup`: [`KeyRing::apply`]. A new key has its own order of stamps, which begins with the
-    /// `initial_timestamp`, if that may be right. Nothing else is done with it: it neither sets back nor syncs a clock.
+    /// `initial_timestamp`, if that may be right. A clock that nobody has told the time begins there too; with the newest
+    /// key once more, it shows it at least, and begins there as long as the other end was not heard with it. A synced
+    /// clock is not touched.
     ///
     /// # Errors
     ///
@@ -161,7 +163,8 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
         self.keys.apply(&setup.secret_key, store)
     }
 
-    /// Begins to change to `key`, before it is sent to the other end: [`KeyRing::offer`].
+    /// Begins to change to `key`, before it is sent to the other end: [`KeyRing::offer`]. `initial` is the time, as
+    /// whoever changes the key knows it, and the `initial_timestamp` to send: [`LinkClock::begin_key`].
     ///
     /// # Errors
     ///
@@ -169,11 +172,11 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
     pub fn offer_key(
         &mut self,
         key: &[u8; KEY_SIZE],
+        initial: Timestamp,
         clock: &mut impl LinkClock,
         store: &mut impl KeyStore,
     ) -> Result<(), KeyChangeError> {
-        let now = clock.now();
-        self.begin_key(key, now, clock)?;
+        self.begin_key(key, initial, clock)?;
         self.keys.offer(key, store)
     }
 
@@ -189,6 +192,8 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
             let first = clock.begin_key(slot, key.fingerprint(), initial)?;
             self.outbound.handler.begin_key(slot, first);
             self.inbound.handler.begin_key(slot, first);
+        } else if self.keys.is_newest(&key) {
+            clock.repeat_key(initial, !self.keys.is_unheard());
         }
         Ok(())
     }

@@ -17,76 +17,65 @@
 //!
 //! # Over a restart
 //!
-//! No counter is used twice, and no package is opened twice, wherever the power failed: [`HighWaterMarks`].
+//! No counter is used twice, and no package is opened twice, wherever the power failed: [`HighWaterMarks`]. They are
+//! provisioned once for the keys, and belong to them: a mark that is lost, swapped or of another key is an error.
 //!
 //! | choice | price |
 //! |---|---|
-//! | the mark of the counters to seal with is up to [`SENT_RESERVATION`] ahead | a restart uses up so many of 2^32 |
-//! | that of those accepted is up to [`ACCEPTED_RESERVATION`] ahead | after a restart, so many packages of each peer may be rejected |
-//! | a mark is stored for each so many packages | flash: see `mavseal-store`, Wear |
+//! | the mark of the counters to seal with is stored every 60 s ([`Pace::SENT`]) | a restart uses up the counters of so long, of 2^32 |
+//! | that of those accepted is stored every 10 s ([`Pace::ACCEPTED`]) | after a restart, packages of each peer may be rejected for so long |
+//! | each start stores marks more often at first | flash: see `mavseal-store`, Wear; [`SealedEndpoint::erases`] tells |
 //! | what cannot be remembered is rejected | with a worn-out flash the link ends: [`SealedRejectReason::NotStored`] |
+//! | whoever has a peer's key can take 2^26 of his counters away per start ([`MAX_PASSED_OVER`]) | a peer of which nothing was heard while he sealed so many is rejected until this end starts again |
 //!
-//! Marks belong to keys. Whoever changes a key erases its mark; nobody erases a mark and keeps the key. They
-//! are told apart by their order alone: a peer that is taken out, or another order, would hand one peer's mark
-//! to the next, so that recordings of the latter pass. Then all keys are made new.
+//! # With a clock
+//!
+//! Counters know order, and no time: a package that somebody held back for weeks is accepted if nothing newer has
+//! come. Where all ends have a trusted clock, [`SealedEndpoint::clocked`] makes them follow it, and rejects what is
+//! more than 60 s from it. Nothing changes on the wire.
 
+mod clocked;
+mod egress;
 mod event;
+mod ingress;
+mod marks;
+mod paced;
+mod radio;
+mod tx_buffer;
 
+pub use clocked::{COUNTERS_PER_SECOND, MAX_AGE, MAX_LEAD};
 pub use event::{SealedCounters, SealedEvent, SealedRejectReason};
+pub use marks::{ACCEPTED_KIND, HighWaterMarks, MarksError, Place, SENT_KIND, provision_peer};
+pub use mavlink_commsec::MAX_PASSED_OVER;
+pub use paced::Pace;
+pub use radio::{Radio, STATUS_INTERVAL};
 
 use core::fmt;
 use core::time::Duration;
 
 use embedded_storage::nor_flash::NorFlash;
-use heapless::Vec;
-use mavlink_commsec::radio::{Answer, RADIO_PACKET_SIZE, Request, Status};
 use mavlink_commsec::{
-    AesGcm, Cipher, Credential, Opener, Packer, PermitError, Plaintext, Sealer, SenderId, field, hx,
+    AesGcm, Cipher, Credential, Opener, Packer, PermitError, Sealer, SenderId, hx,
 };
-use mavlink_signing::{LinkClock, Resync, TICKS_PER_SECOND};
-use mavseal_store::HighWaterMark;
+use mavlink_signing::{LinkClock, Resync, Timestamp};
 
 use crate::endpoint::{Endpoint, LineEvent, Side};
-use crate::event::Direction;
 use crate::reader::PacketReader;
-
-/// How far the mark is stored ahead of the counters that this end seals with.
-pub const SENT_RESERVATION: u64 = 256;
-/// How far a mark is stored ahead of the counters accepted of one peer.
-pub const ACCEPTED_RESERVATION: u64 = 8;
-/// How often the radio is asked for its status: every second, in ticks of 10 microseconds.
-pub const STATUS_INTERVAL: u64 = TICKS_PER_SECOND;
-
-const MICROS_PER_TICK: u64 = 1_000_000 / TICKS_PER_SECOND;
-
-/// Whose radio it is, and so which packet becomes of its status.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Radio {
-    /// A vehicle's, with this system and component: VEHICLE_RADIO to the stations, sealed.
-    Vehicle {
-        /// The vehicle.
-        system_id: u8,
-        /// The part of it that answers for the radio.
-        component_id: u8,
-    },
-    /// A ground station's: GCS_RADIO to its program, on the local side.
-    Station,
-}
-
-/// What an end remembers over a restart: numbers above every counter that it has used or accepted.
-pub struct HighWaterMarks<F, const N: usize> {
-    /// Above every counter that this end has sealed with.
-    pub sent: HighWaterMark<F>,
-    /// Above every counter that was accepted of each peer, in the order of the peers.
-    pub accepted: [HighWaterMark<F>; N],
-}
+use clocked::Moment;
+use egress::Egress;
+use ingress::Ingress;
+use marks::Fingerprints;
+use paced::PacedMark;
+use radio::RadioPoller;
+use tx_buffer::TxBuffer;
 
 /// One end of a sealed link with `N` peers. See the [module's documentation](self).
 pub struct SealedEndpoint<F, const N: usize, C: Cipher = AesGcm> {
     outward: Egress<F, C>,
     inward: Ingress<F, N, C>,
     radio: RadioPoller,
+    /// When the counters that follow a clock began.
+    origin: Option<Timestamp>,
 }
 
 impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
@@ -97,15 +86,18 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
     ///
     /// # Errors
     ///
-    /// [`PermitError`]: what is wrong with the keys.
+    /// [`SealedEndpointError`]: what is wrong with the keys, or that the marks are those of others.
     pub fn new(
         own: &Credential,
         peers: &[Credential; N],
         marks: HighWaterMarks<F, N>,
         radio: Radio,
         max_delay: Duration,
-    ) -> Result<Self, PermitError> {
-        let HighWaterMarks { sent, accepted } = marks;
+    ) -> Result<Self, SealedEndpointError> {
+        if marks.fingerprints != Fingerprints::new::<C>(own, peers)? {
+            return Err(SealedEndpointError::OtherMarks);
+        }
+        let HighWaterMarks { sent, accepted, .. } = marks;
         // A mark behind the last counter is as good as the last: it seals nothing, and nothing is newer.
         let first = counter(sent.get());
         let last = |sender| {
@@ -115,12 +107,13 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
             mark.map_or(0, |(_, mark)| counter(mark.get().saturating_sub(1)))
         };
         let opener = Opener::from_credentials(peers, last)?;
+        let key = own.prepare().map_err(PermitError::from)?;
         Ok(Self {
             outward: Egress {
                 reader: PacketReader::new(Resync::Silence),
                 packer: Packer::new(max_delay),
-                sealer: Sealer::resume(own.prepare()?, own.id, first),
-                mark: sent,
+                sealer: Sealer::resume(key, own.id, first),
+                mark: PacedMark::new(sent, Pace::SENT),
                 line: TxBuffer::new(),
                 counters: SealedCounters::default(),
             },
@@ -128,18 +121,41 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
                 decoder: hx::Decoder::new(),
                 opener,
                 peers: peers.each_ref().map(|peer| peer.id),
-                marks: accepted,
+                marks: accepted.map(|mark| PacedMark::new(mark, Pace::ACCEPTED)),
                 line: TxBuffer::new(),
                 counters: SealedCounters::default(),
             },
-            radio: RadioPoller {
-                radio,
-                asked: None,
-                unanswered: 0,
-                sequence: 0,
-                answer: None,
-            },
+            radio: RadioPoller::new(radio),
+            origin: None,
         })
+    }
+
+    /// The same end, whose counters follow the clock it is given with each call, and which rejects what is more than
+    /// [`MAX_AGE`] from it, either way. All ends of the link must do so, with the same `origin`: when the keys were
+    /// made, or any moment before that.
+    ///
+    /// A counter is the time since `origin` in 1/64 s, or the last one plus 1 if that is greater. 2^32 of them last
+    /// for 2.1 years after `origin`; then only new keys help. What would run more than [`MAX_LEAD`] ahead of the clock
+    /// is not sealed: more than 64 packages a second for long.
+    ///
+    /// The clock must be one that can be trusted, and know the time before the first call. A sender whose clock was
+    /// ahead is silent until that time has come, over restarts too.
+    #[must_use]
+    pub fn clocked(mut self, origin: Timestamp) -> Self {
+        self.origin = Some(origin);
+        self.outward.mark.pace = Pace::SENT_WITH_CLOCK;
+        for mark in &mut self.inward.marks {
+            mark.pace = Pace::ACCEPTED_WITH_CLOCK;
+        }
+        self
+    }
+
+    /// The same end, which gives a peer's key up after `limit` wrong tags in place of
+    /// [`INTEGRITY_LIMIT`](mavlink_commsec::INTEGRITY_LIMIT), until the next start.
+    #[must_use]
+    pub const fn integrity_limit(mut self, limit: u32) -> Self {
+        self.inward.opener.set_limit(limit);
+        self
     }
 
     /// The same end with `ticks` of silence on the local side in place of [`IDLE`](crate::IDLE): longer than any pause
@@ -161,6 +177,19 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
         self.inward.opener.senders()
     }
 
+    /// How many packages for the key of `peer` had a wrong tag since the start; `None` if he is none.
+    #[must_use]
+    pub fn failed_opens(&self, peer: SenderId) -> Option<u32> {
+        self.inward.opener.failed_opens(peer)
+    }
+
+    /// How often each page of the mark that wears most was erased so far. Tell people long before the flash is worn
+    /// out, which its data sheet says: often after 10,000 times.
+    pub fn erases(&self) -> u32 {
+        let accepted = self.inward.marks.iter().map(PacedMark::erases);
+        accepted.fold(self.outward.mark.erases(), u32::max)
+    }
+
     /// What has been sealed and rejected on its way to the radio.
     #[must_use]
     pub const fn sealed(&self) -> &SealedCounters {
@@ -175,7 +204,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
 
     /// The flashes of the marks, for what else they hold.
     pub fn into_flashes(self) -> (F, [F; N]) {
-        let accepted = self.inward.marks.map(HighWaterMark::into_flash);
+        let accepted = self.inward.marks.map(PacedMark::into_flash);
         (self.outward.mark.into_flash(), accepted)
     }
 }
@@ -198,17 +227,18 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
         clock: &mut impl LinkClock,
         observe: &mut impl FnMut(SealedEvent),
     ) -> usize {
+        let now = Moment::of(clock, self.origin);
         let Self {
             outward,
             inward,
             radio,
+            ..
         } = self;
-        let now = clock.monotonic();
         let mut taken = 0;
         match side {
             Side::Local => loop {
                 let rest = bytes.get(taken..).unwrap_or_default();
-                let count = outward.reader.write(rest, now);
+                let count = outward.reader.write(rest, now.ticks);
                 if count == 0 {
                     break;
                 }
@@ -221,7 +251,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
                         break;
                     }
                     taken += 1;
-                    inward.push(*byte, radio, observe);
+                    inward.push(*byte, radio, now, observe);
                     // The radio's answer may be for the stations.
                     outward.advance(radio, now, observe);
                 }
@@ -250,8 +280,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
             }
             Side::Link => {
                 if self.outward.line.sent(count) {
-                    let now = clock.monotonic();
-                    self.outward.reader.restart_timer(now);
+                    let now = Moment::of(clock, self.origin);
                     self.outward.advance(&mut self.radio, now, observe);
                 }
             }
@@ -265,15 +294,16 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
         clock: &mut impl LinkClock,
         observe: &mut impl FnMut(SealedEvent),
     ) {
+        let now = Moment::of(clock, self.origin);
         let Self {
             outward,
             inward,
             radio,
+            ..
         } = self;
-        let now = clock.monotonic();
         match (side, event) {
             (Side::Local, LineEvent::Idle) => outward.reader.silent(),
-            (Side::Local, _) => outward.reader.fault(now),
+            (Side::Local, _) => outward.reader.fault(now.ticks),
             // A frame from the radio ends with a byte of its own.
             (Side::Link, LineEvent::Idle) => {}
             (Side::Link, _) => inward.decoder = hx::Decoder::new(),
@@ -292,10 +322,8 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
     }
 
     fn poll(&mut self, clock: &mut impl LinkClock, observe: &mut impl FnMut(SealedEvent)) {
-        let now = clock.monotonic();
-        if self.outward.line.is_empty() {
-            let _ = self.outward.reader.poll(now);
-        }
+        let now = Moment::of(clock, self.origin);
+        self.outward.reader.poll(now.ticks, false);
         self.outward.advance(&mut self.radio, now, observe);
     }
 }
@@ -313,312 +341,47 @@ fn counter(mark: u64) -> u32 {
     u32::try_from(mark).unwrap_or(u32::MAX)
 }
 
-/// Bytes that leave one after the other.
-struct TxBuffer<const SIZE: usize> {
-    bytes: Vec<u8, SIZE>,
-    sent: usize,
+/// Why there is no end. The caller is at fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum SealedEndpointError {
+    /// Something is wrong with the keys.
+    Permit(PermitError),
+    /// A cipher's hardware failed, or a key is none.
+    Marks(MarksError),
+    /// The marks were opened for other keys, or for other peers, or in another order.
+    OtherMarks,
 }
 
-impl<const SIZE: usize> TxBuffer<SIZE> {
-    const fn new() -> Self {
-        Self {
-            bytes: Vec::new(),
-            sent: 0,
-        }
-    }
-
-    fn is_empty(&self) -> bool {
-        self.bytes.is_empty()
-    }
-
-    /// Adds `bytes`, for which there is room wherever this is called.
-    fn put(&mut self, bytes: impl IntoIterator<Item = u8>) {
-        for byte in bytes {
-            let put = self.bytes.push(byte);
-            debug_assert!(put.is_ok(), "there is room");
-        }
-    }
-
-    fn pending(&self) -> &[u8] {
-        self.bytes.get(self.sent..).unwrap_or_default()
-    }
-
-    /// Takes note of `count` bytes that have left; whether the last has left with them.
-    fn sent(&mut self, count: usize) -> bool {
-        self.sent = self.sent.saturating_add(count);
-        let left = !self.is_empty() && self.sent >= self.bytes.len();
-        if left {
-            self.clear();
-        }
-        left
-    }
-
-    fn clear(&mut self) {
-        self.bytes.clear();
-        self.sent = 0;
+impl From<PermitError> for SealedEndpointError {
+    fn from(error: PermitError) -> Self {
+        Self::Permit(error)
     }
 }
 
-/// From the local side to the radio.
-struct Egress<F, C: Cipher> {
-    reader: PacketReader,
-    packer: Packer,
-    sealer: Sealer<C>,
-    mark: HighWaterMark<F>,
-    line: TxBuffer<{ hx::MAX_ENCODED_SIZE }>,
-    counters: SealedCounters,
-}
-
-impl<F: NorFlash, C: Cipher> Egress<F, C> {
-    /// Makes the next frame for the radio, or as much of one as there is to make.
-    fn advance(
-        &mut self,
-        radio: &mut RadioPoller,
-        now: u64,
-        observe: &mut impl FnMut(SealedEvent),
-    ) {
-        // The frame being sent is the bound on memory: no next one before it has left.
-        while self.line.is_empty() && self.step(radio, now, observe) {}
-    }
-
-    /// Does one thing; whether there was one to do.
-    fn step(
-        &mut self,
-        radio: &mut RadioPoller,
-        now: u64,
-        observe: &mut impl FnMut(SealedEvent),
-    ) -> bool {
-        let since = Duration::from_micros(now.saturating_mul(MICROS_PER_TICK));
-        if let Some(message) = self.packer.poll(since) {
-            self.seal(&message, observe);
-            return true;
-        }
-        if let Some(request) = radio.ask(now) {
-            if let Ok(frame) = hx::Frame::new(hx::FrameKind::Radio, &request.to_wire()) {
-                self.line.put(frame.encode());
-            }
-            return true;
-        }
-        let told = radio.vehicle();
-        let packed = match &told {
-            Some(packet) => Ok(&packet[..]),
-            None => match self.reader.read() {
-                Some(Ok(packet)) => Ok(packet.as_bytes()),
-                Some(Err(error)) => Err(error.into()),
-                None => {
-                    self.counters.set_dropped(self.reader.dropped());
-                    return false;
-                }
-            },
-        };
-        let packed = packed.and_then(|packet| Ok(self.packer.push(packet, since)?));
-        match packed {
-            Ok(full) => {
-                self.counters.count_packet();
-                observe(SealedEvent::Packed);
-                if let Some(message) = full {
-                    self.seal(&message, observe);
-                }
-            }
-            Err(rejection) => self.reject(rejection, observe),
-        }
-        true
-    }
-
-    /// When there will be something to do that no byte brings.
-    fn poll_at(&self, radio: &RadioPoller) -> Option<u64> {
-        if !self.line.is_empty() {
-            return None;
-        }
-        let full = self.packer.poll_at().map(|at| {
-            let micros = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
-            micros.div_ceil(MICROS_PER_TICK)
-        });
-        let deadlines = [self.reader.due_at(), full, Some(radio.ask_at())];
-        deadlines.into_iter().flatten().min()
-    }
-
-    fn seal(&mut self, message: &Plaintext, observe: &mut impl FnMut(SealedEvent)) {
-        match self.try_seal(message) {
-            Ok(counter) => {
-                self.counters.count_package();
-                observe(SealedEvent::Sealed(counter));
-            }
-            Err(rejection) => self.reject(rejection, observe),
-        }
-    }
-
-    /// Puts the package on the line; gives its counter.
-    fn try_seal(&mut self, message: &Plaintext) -> Result<u32, SealedRejectReason> {
-        let counter = self.sealer.next_counter();
-        let counter = counter.ok_or(SealedRejectReason::CounterExhausted)?;
-        self.mark.reserve(counter.into(), SENT_RESERVATION)?;
-        let package = self.sealer.seal(message)?;
-        self.line.put(hx::Frame::from(&package).encode());
-        Ok(counter)
-    }
-
-    fn drop_frame(&mut self, observe: &mut impl FnMut(SealedEvent)) {
-        if !self.line.is_empty() {
-            self.line.clear();
-            self.reject(SealedRejectReason::LineClosed, observe);
-        }
-    }
-
-    fn reject(&mut self, rejection: SealedRejectReason, observe: &mut impl FnMut(SealedEvent)) {
-        self.counters.count_rejected(rejection);
-        observe(SealedEvent::Rejected(Direction::Outbound, rejection));
+impl From<MarksError> for SealedEndpointError {
+    fn from(error: MarksError) -> Self {
+        Self::Marks(error)
     }
 }
 
-/// From the radio to the local side.
-struct Ingress<F, const N: usize, C: Cipher> {
-    decoder: hx::Decoder,
-    opener: Opener<N, C>,
-    peers: [SenderId; N],
-    marks: [HighWaterMark<F>; N],
-    line: TxBuffer<{ field::PLAINTEXT_SIZE }>,
-    counters: SealedCounters,
-}
-
-impl<F: NorFlash, const N: usize, C: Cipher> Ingress<F, N, C> {
-    fn drop_packets(&mut self, observe: &mut impl FnMut(SealedEvent)) {
-        if !self.line.is_empty() {
-            self.line.clear();
-            let rejection = SealedRejectReason::LineClosed;
-            self.counters.count_rejected(rejection);
-            observe(SealedEvent::Rejected(Direction::Inbound, rejection));
-        }
-    }
-
-    /// Takes the next byte.
-    fn push(&mut self, byte: u8, radio: &mut RadioPoller, observe: &mut impl FnMut(SealedEvent)) {
-        let Self {
-            decoder,
-            opener,
-            peers,
-            marks,
-            line,
-            counters,
-        } = self;
-        let mut reject = |rejection| {
-            counters.count_rejected(rejection);
-            observe(SealedEvent::Rejected(Direction::Inbound, rejection));
-        };
-        let frame = match decoder.push(byte) {
-            None => return,
-            Some(Ok(frame)) => frame,
-            Some(Err(error)) => return reject(error.into()),
-        };
-        if frame.kind() == hx::FrameKind::Radio {
-            match radio.take(frame.payload()) {
-                Ok(status) => observe(SealedEvent::Radio(status)),
-                Err(rejection) => return reject(rejection),
-            }
-            if let Some(packet) = radio.station() {
-                line.put(packet);
-            }
-            return;
-        }
-        let opened = opener
-            .open(frame.payload())
-            .map_err(SealedRejectReason::from);
-        let opened = opened.and_then(|opened| {
-            let mut marks = peers.iter().zip(marks);
-            let mark = marks.find(|(peer, _)| **peer == opened.sender());
-            let (_, mark) = mark.ok_or(SealedRejectReason::UnknownSender)?;
-            mark.reserve(opened.counter().into(), ACCEPTED_RESERVATION)?;
-            Ok(opened)
-        });
-        let opened = match opened {
-            Ok(opened) => opened,
-            Err(rejection) => return reject(rejection),
-        };
-        counters.count_package();
-        observe(SealedEvent::Opened(opened.sender()));
-        for packet in opened.packets() {
-            match packet {
-                Ok(packet) => {
-                    counters.count_packet();
-                    line.put(packet.iter().copied());
-                }
-                Err(error) => {
-                    let rejection = error.into();
-                    counters.count_rejected(rejection);
-                    observe(SealedEvent::Rejected(Direction::Inbound, rejection));
-                }
-            }
+impl fmt::Display for SealedEndpointError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Permit(error) => error.fmt(f),
+            Self::Marks(error) => error.fmt(f),
+            Self::OtherMarks => f.write_str("the marks are those of other keys"),
         }
     }
 }
 
-/// What is asked of the radio, and what becomes of the answer.
-struct RadioPoller {
-    radio: Radio,
-    /// When it was last asked, in ticks.
-    asked: Option<u64>,
-    /// Questions that it has not answered.
-    unanswered: u8,
-    /// Of the packets that are made from answers.
-    sequence: u8,
-    /// What is to be handed on.
-    answer: Option<Status>,
-}
-
-impl RadioPoller {
-    /// When it is time for the question.
-    fn ask_at(&self) -> u64 {
-        let next = |asked: u64| asked.saturating_add(STATUS_INTERVAL);
-        self.asked.map_or(0, next)
-    }
-
-    /// The question, when it is time for it.
-    fn ask(&mut self, now: u64) -> Option<Request> {
-        if now < self.ask_at() {
-            return None;
+impl core::error::Error for SealedEndpointError {
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        match self {
+            Self::Permit(error) => Some(error),
+            Self::Marks(error) => Some(error),
+            Self::OtherMarks => None,
         }
-        self.asked = Some(now);
-        self.unanswered = self.unanswered.saturating_add(1);
-        Some(Request::Status)
-    }
-
-    /// Takes what the radio says: an answer for each question, so that a radio cannot fill the air with
-    /// them.
-    fn take(&mut self, bytes: &[u8]) -> Result<Status, SealedRejectReason> {
-        let answer = Answer::from_wire(bytes)?;
-        self.unanswered = self
-            .unanswered
-            .checked_sub(1)
-            .ok_or(SealedRejectReason::NotAsked)?;
-        self.answer = Some(*answer.status());
-        Ok(*answer.status())
-    }
-
-    /// What a vehicle has to tell of its radio.
-    fn vehicle(&mut self) -> Option<[u8; RADIO_PACKET_SIZE]> {
-        let Radio::Vehicle {
-            system_id,
-            component_id,
-        } = self.radio
-        else {
-            return None;
-        };
-        let status = self.answer.take()?;
-        Some(status.vehicle_radio(self.next(), system_id, component_id))
-    }
-
-    /// What a station has to tell of its radio.
-    fn station(&mut self) -> Option<[u8; RADIO_PACKET_SIZE]> {
-        if self.radio != Radio::Station {
-            return None;
-        }
-        let status = self.answer.take()?;
-        Some(status.gcs_radio(self.next()))
-    }
-
-    fn next(&mut self) -> u8 {
-        let sequence = self.sequence;
-        self.sequence = sequence.wrapping_add(1);
-        sequence
     }
 }

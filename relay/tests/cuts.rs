@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 use std::time::Duration;
 
-use mavlink_commsec::{Credential, Sealer, SenderId, hx, radio::Status};
+use mavlink_commsec::{AesGcm, Credential, Sealer, SenderId, hx, radio::Status};
 use mavlink_signing::{
     Frame, Header, Hmac, MessageId, ReplayGuard, SigningKey, Stamp, Stamper, Timestamp, Window,
     crc::checksum, sign_frame,
@@ -13,7 +13,7 @@ use mavseal_relay::{
     sealed::{HighWaterMarks, Radio, SealedEndpoint, SealedEvent},
 };
 use mavseal_store::{
-    HighWaterMark, Region,
+    Region,
     model::{Flash, PAGE_SIZE},
 };
 use proptest::prelude::*;
@@ -198,11 +198,9 @@ fn station() -> SealedEndpoint<Flash<2>, 1> {
         start: 0,
         page_size: PAGE_SIZE as u32,
     };
-    let mark = || HighWaterMark::open(Flash::default(), region).expect("a region");
-    let marks = HighWaterMarks {
-        sent: mark(),
-        accepted: [mark()],
-    };
+    let place = || (Flash::default(), region);
+    let marks = HighWaterMarks::provision::<AesGcm>(&STATION, &[VEHICLE], place(), [place()]);
+    let marks = marks.expect("blank flashes");
     let max_delay = Duration::from_millis(50);
     SealedEndpoint::new(&STATION, &[VEHICLE], marks, Radio::Station, max_delay).expect("keys")
 }

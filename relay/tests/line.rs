@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mavlink_commsec::{Credential, SenderId, hx};
+use mavlink_commsec::{AesGcm, Credential, SenderId, hx};
 use mavlink_signing::{
     Frame, Header, Hmac, MessageId, ReplayGuard, SigningKey, Stamp, Stamper, Timestamp, Window,
     crc::checksum, sign_frame,
@@ -14,7 +14,7 @@ use mavseal_relay::{
     },
 };
 use mavseal_store::{
-    HighWaterMark, Region,
+    Region,
     model::{Flash, PAGE_SIZE},
 };
 
@@ -145,12 +145,22 @@ fn an_idle_line_is_heard_at_once() {
     bench.event(Side::Local, LineEvent::Overrun);
     bench.input(Side::Local, &[1, 2, 3]);
     bench.event(Side::Local, LineEvent::Idle);
-    bench.input(Side::Local, &[0xFD, 255, 0]);
-    bench.event(Side::Local, LineEvent::Idle);
     assert_eq!(bench.end.poll_at(), None);
-    bench.input(Side::Local, unsigned(&[1]).as_bytes());
+    let frame = unsigned(&[1]);
+    bench.input(Side::Local, frame.as_bytes());
     assert_eq!(bench.end.outbound().passed(), 1);
-    assert_eq!(bench.end.outbound().dropped(), 6);
+    assert_eq!(bench.end.outbound().dropped(), 3);
+    bench.output(Side::Link);
+    // A pause within a packet is no end of it.
+    for cut in 1..frame.as_bytes().len() {
+        let (begin, end) = frame.as_bytes().split_at(cut);
+        bench.input(Side::Local, begin);
+        bench.event(Side::Local, LineEvent::Idle);
+        bench.poll_at(bench.now + 100 * IDLE);
+        bench.input(Side::Local, end);
+        assert!(!bench.output(Side::Link).is_empty(), "cut at {cut}");
+    }
+    assert_eq!(bench.end.outbound().dropped(), 3);
 }
 
 #[test]
@@ -231,29 +241,37 @@ fn what_a_closed_line_was_to_take_is_dropped_and_counted() {
 }
 
 #[test]
-fn a_relay_waits_for_time_only_where_a_packet_has_begun() {
+fn a_relay_waits_for_time_only_where_it_changes_something() {
     let mut bench = relay();
     assert_eq!(bench.end.poll_at(), None);
+    // On the link side for what has begun, longer the more it announces.
     bench.input(Side::Link, &[0xFD]);
-    bench.now += 5;
-    bench.input(Side::Local, &[0xFD]);
-    assert_eq!(bench.end.poll_at(), Some(NOW + IDLE + 1));
-    bench.poll_at(NOW + IDLE + 1);
-    assert_eq!(bench.end.poll_at(), Some(NOW + 5 + IDLE + 1));
+    let longest = bench.end.poll_at().expect("a time");
+    bench.input(Side::Link, &[0, 0]);
+    let shortest = bench.end.poll_at().expect("a time");
+    assert!(NOW + IDLE < shortest && shortest < longest);
+    // 280 bytes and 12, with 5,760 a second.
+    assert!((longest - shortest).abs_diff((280 - 12) * 4862 / 280) <= 1);
+    bench.poll_at(shortest - 1);
+    assert_eq!(bench.end.inbound().dropped(), 0);
+    bench.poll_at(shortest);
     assert_eq!(
-        (
-            bench.end.outbound().dropped(),
-            bench.end.inbound().dropped()
-        ),
-        (0, 1)
+        (bench.end.poll_at(), bench.end.inbound().dropped()),
+        (None, 3)
     );
-    // While a frame waits to go out, its direction waits for nothing else.
+    // On the local side for silence, and not for what has begun.
+    bench.input(Side::Local, &[0xFD]);
+    assert_eq!(bench.end.poll_at(), None);
+    bench.event(Side::Local, LineEvent::Noise);
+    assert_eq!(bench.end.poll_at(), Some(bench.now + IDLE + 1));
     bench.event(Side::Local, LineEvent::Idle);
-    bench.input(Side::Local, unsigned(&[1]).as_bytes());
+    // While a frame waits to go out, its direction waits for nothing else.
+    bench.input(Side::Link, signed(&[1], NOW).as_bytes());
+    bench.input(Side::Link, &[0xFD]);
     assert_eq!(bench.end.poll_at(), None);
     bench.now += 7;
-    bench.output(Side::Link);
-    assert_eq!(bench.end.poll_at(), Some(bench.now + IDLE + 1));
+    bench.output(Side::Local);
+    assert_eq!(bench.end.poll_at(), Some(bench.now + longest - NOW));
 }
 
 const STATION: Credential = credential(5);
@@ -274,13 +292,12 @@ fn sealed(own: &Credential, peer: Credential) -> Bench<SealedEndpoint<Flash<2>, 
         start: 0,
         page_size: PAGE_SIZE as u32,
     };
-    let mark = || HighWaterMark::open(Flash::default(), region).expect("a region");
-    let marks = HighWaterMarks {
-        sent: mark(),
-        accepted: [mark()],
-    };
+    let place = || (Flash::default(), region);
+    let peers = [peer];
+    let marks = HighWaterMarks::provision::<AesGcm>(own, &peers, place(), [place()]);
+    let marks = marks.expect("blank flashes");
     let max_delay = Duration::from_millis(50);
-    let end = SealedEndpoint::new(own, &[peer], marks, Radio::Station, max_delay).expect("keys");
+    let end = SealedEndpoint::new(own, &peers, marks, Radio::Station, max_delay).expect("keys");
     let mut bench = Bench::of(end);
     // It begins with a question to its radio.
     assert_eq!(bench.end.poll_at(), Some(0));
@@ -309,7 +326,7 @@ fn a_sealed_end_tells_when_a_package_is_due() {
     bench.poll_at(NOW + MAX_DELAY);
     assert_eq!(bench.end.poll_at(), None);
     assert!(bench.output(Side::Link).len() >= 99);
-    assert_eq!(bench.end.poll_at(), Some(NOW + MAX_DELAY + IDLE + 1));
+    assert_eq!(bench.end.poll_at(), Some(NOW + STATUS_INTERVAL));
 }
 
 #[test]
@@ -341,7 +358,7 @@ fn a_sealed_end_gives_up_a_frame_with_a_fault() {
     bench.input(Side::Link, begin);
     bench.event(Side::Link, LineEvent::Idle);
     bench.input(Side::Link, end);
-    assert_eq!(bench.events, [SealedEvent::Opened(SenderId(7))]);
+    assert_eq!(bench.events, [SealedEvent::Opened(SenderId(7), 1)]);
 
     // It takes nothing more before its packets have left, or can leave no more.
     assert_eq!(bench.end.room(Side::Link), 0);

@@ -1,20 +1,20 @@
 //! What the relay remembers: its mark, its keys, and SETUP_SIGNING from the local side.
 
-use std::{cell::Cell, collections::VecDeque, convert::Infallible, error::Error};
+use std::{cell::Cell, collections::VecDeque, convert::Infallible};
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use mavlink_signing::{
-    Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, KeyRing,
+    Frame, FrameRef, Header, Hmac, KEY_SIZE, KeyChange, KeyChangeError, KeyError, KeyRing, KeySlot,
     KeyStore, LinkClock, MessageId, NotStored, RESERVATION, ReplayGuard, RolloverState,
     SetupSigning, SignError, SigningKey, Stamp, Stamper, SyncState, TimeSource, Timestamp,
     VerifyError, Window, sign_frame,
 };
 use mavseal_relay::{
-    FIRST_RESERVATION, FlashKeyStore, ForwardMode, PersistentClock, PersistentClockError,
-    RejectReason, Relay, TimeBehindMark, adapter,
+    FIRST_RESERVATION, FirstKey, FlashKeyStore, ForwardMode, LinkFlash, LinkMemory,
+    LinkMemoryError, PersistentClock, Presence, RejectReason, Relay, TimeError, adapter,
 };
 use mavseal_store::{
-    Region,
+    MarkError, Region,
     model::{Flash, PAGE_SIZE, WORD_SIZE},
 };
 
@@ -124,39 +124,45 @@ fn run<K: LinkClock>(
     (local_line.output.len() / 13, stamps, rejected)
 }
 
-fn relay<F, T>(kept: &PersistentClock<F, T>) -> Relay<Hmac>
-where
-    F: embedded_storage::nor_flash::NorFlash,
-    T: FnMut() -> u64,
-{
-    let key = SigningKey::new(&KEY).expect("a key");
-    let receiver = ReplayGuard::resume(LINK_IN, Window::ONE_MINUTE, kept.floor());
-    Relay::new(
-        key,
-        kept.stamper(LINK_OUT),
-        receiver,
-        ForwardMode::StripSignature,
-    )
-    .expect("two links")
+fn keys() -> KeyRing<Hmac> {
+    SigningKey::new(&KEY).expect("a key").into()
+}
+
+/// The flashes of both marks.
+type Marks = [Flash<2>; 2];
+
+fn first_start<T: FnMut() -> u64>(
+    flashes: &mut Marks,
+    timer: T,
+) -> PersistentClock<&mut Flash<2>, T> {
+    PersistentClock::provision(flashes.each_mut(), REGION, &keys(), timer).expect("fits")
+}
+
+fn start<T: FnMut() -> u64>(flashes: &mut Marks, timer: T) -> PersistentClock<&mut Flash<2>, T> {
+    PersistentClock::open(flashes.each_mut(), REGION, &keys(), timer).expect("a mark")
+}
+
+fn relay() -> Relay<Hmac> {
+    let receiver = ReplayGuard::new(LINK_IN, Window::ONE_MINUTE);
+    let mode = ForwardMode::StripSignature;
+    Relay::new(keys(), Stamper::new(LINK_OUT), receiver, mode).expect("two links")
 }
 
 #[test]
 fn a_clock_that_leaps_is_no_silence() {
-    let mut kept = PersistentClock::new(Flash::<2>::default(), REGION, || 1000).expect("a flash");
-    let mut relay = relay(&kept);
+    let mut flashes = Marks::default();
+    let mut kept = first_start(&mut flashes, || 1000);
+    let mut relay = relay();
     let (mut local, mut link) = (Line::default(), Line::default());
-    let packet = Frame::new(header(), &[1]).expect("a heartbeat");
-    let (first, second) = packet.as_bytes().split_at(6);
-    let from_the_peer = signed(NOW);
-    let mut turn = |from_local: &[u8], from_link: &[u8]| {
-        local.input.extend(from_local);
+    let (mine, theirs) = (signed(NOW), signed(NOW + 7));
+    let (first, second) = theirs.as_bytes().split_at(6);
+    let mut turn = |from_link: &[u8]| {
         link.input.extend(from_link);
         while adapter::poll(&mut relay, &mut local, &mut link, &mut kept, &mut |_| ()).moved() {}
-        relay.outbound().passed()
+        relay.inbound().passed()
     };
-    assert_eq!(turn(first, &[]), 0);
-    assert_eq!(turn(&[], from_the_peer.as_bytes()), 0);
-    assert_eq!(turn(second, &[]), 1);
+    assert_eq!(turn(&[mine.as_bytes(), first].concat()), 1);
+    assert_eq!(turn(second), 2);
     assert!(kept.now() > at(NOW / 2), "the frame has told the time");
     let shown = format!("{kept:?}");
     assert!(
@@ -167,18 +173,20 @@ fn a_clock_that_leaps_is_no_silence() {
 
 #[test]
 fn after_a_restart_nothing_is_used_or_accepted_again() {
-    let mut flash = Flash::<2>::default();
+    let mut flashes = Marks::default();
     let heartbeat = Frame::new(header(), &[1]).expect("a heartbeat");
     let frames = [signed(NOW), signed(NOW + 5)];
     let frames = frames.each_ref();
     let mut last = 0;
     for restart in 0..3 {
-        let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
+        if restart == 0 {
+            drop(first_start(&mut flashes, || 0));
+        }
+        let mut kept = start(&mut flashes, || 0);
         kept.update(TimeSource::Trusted, at(NOW + 5))
             .expect("ahead");
-        let mut relay = relay(&kept);
         let local = [&heartbeat, &heartbeat];
-        let (passed, stamps, rejected) = run(&mut relay, &mut kept, &local, &frames);
+        let (passed, stamps, rejected) = run(&mut relay(), &mut kept, &local, &frames);
         assert_eq!(stamps.len(), 2);
         assert!(stamps[0] > last && stamps[1] > stamps[0]);
         last = stamps[1];
@@ -192,79 +200,82 @@ fn after_a_restart_nothing_is_used_or_accepted_again() {
 
 #[test]
 fn reservations_grow_with_the_time_since_the_restart() {
-    let mut flash = Flash::<2>::default();
+    let mut flashes = Marks::default();
+    drop(first_start(&mut flashes, || 0));
     for (running, ahead) in [
         (0, FIRST_RESERVATION),
         (800_000, 100_000),
         (u64::MAX, RESERVATION),
     ] {
         let timer = Cell::new(0);
-        let mut kept = PersistentClock::new(&mut flash, REGION, || timer.get()).expect("fits");
+        let mut kept = start(&mut flashes, || timer.get());
         timer.set(running);
-        let floor = kept.floor();
-        kept.reserve(floor).expect("stored");
-        let kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
-        assert_eq!(kept.floor(), floor.saturating_add(ahead));
+        let floor = kept.floor(KeySlot::A);
+        kept.reserve(KeySlot::A, floor).expect("stored");
+        let kept = start(&mut flashes, || 0);
+        assert_eq!(kept.floor(KeySlot::A), floor.saturating_add(ahead));
+        assert_eq!(kept.floor(KeySlot::B), Timestamp::MAX, "no key, no stamp");
     }
 }
 
 #[test]
 fn what_cannot_be_remembered_is_rejected() {
-    let mut flash = Flash::<2>::default();
-    flash.fail(255);
-    let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
+    let mut flashes = Marks::default();
+    drop(first_start(&mut flashes, || 0));
+    flashes[0].fail(255);
+    let mut kept = start(&mut flashes, || 0);
     kept.update(TimeSource::Trusted, at(NOW)).expect("ahead");
-    let mut relay = relay(&kept);
     let heartbeat = Frame::new(header(), &[1]).expect("a heartbeat");
-    let (passed, stamps, rejected) = run(&mut relay, &mut kept, &[&heartbeat], &[&signed(NOW)]);
+    let (passed, stamps, rejected) = run(&mut relay(), &mut kept, &[&heartbeat], &[&signed(NOW)]);
     // One write in 256 succeeds, and none of these.
     assert_eq!((passed, stamps.len()), (0, 0));
     assert_eq!(rejected, [RejectReason::NotStored; 2]);
 }
 
+/// A key whose stamps are used up signs nothing; it starts all the same, so that it can be given a new one.
 #[test]
-fn the_end_of_time_is_told() {
-    let mut flash = Flash::<2>::default();
-    let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
-    kept.reserve(Timestamp::MAX).expect("stored");
-    let error = PersistentClock::new(&mut flash, REGION, || 0).err();
-    assert_eq!(error, Some(PersistentClockError::Exhausted));
-    assert_eq!(
-        PersistentClockError::Exhausted.to_string(),
-        "all timestamps are used up"
-    );
-    assert!(PersistentClockError::Exhausted.source().is_none());
-    let nowhere = Region {
-        page_size: 1,
-        ..REGION
-    };
-    let error = PersistentClock::new(&mut flash, nowhere, || 0).expect_err("no region");
-    let source = error.source().expect("the flash's own");
-    assert_eq!(source.to_string(), error.to_string());
+fn the_end_of_time_ends_a_key_and_not_the_board() {
+    let mut flashes = Marks::default();
+    let mut kept = first_start(&mut flashes, || 0);
+    kept.reserve(KeySlot::A, Timestamp::MAX).expect("stored");
+    let mut kept = start(&mut flashes, || 0);
+    let stamp = kept.stamp(&mut Stamper::new(LINK_OUT));
+    assert_eq!(stamp, Err(SignError::NotStored));
+    let print = SigningKey::<Hmac>::new(&[9; KEY_SIZE]).expect("a key");
+    let first = kept.begin_key(KeySlot::B, print.fingerprint(), at(NOW));
+    assert_eq!(first, Ok(at(NOW)));
+    let stamp = kept.stamp(&mut Stamper::new(LINK_OUT).in_slot(KeySlot::B));
+    assert_eq!(stamp.map(|stamp| stamp.timestamp), Ok(at(NOW)));
 }
 
 #[test]
 fn the_reservation_does_not_end_time() {
-    let mut flash = Flash::<2>::default();
+    let mut flashes = Marks::default();
     let last = at(Timestamp::MAX.ticks() - 1);
-    let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
-    kept.reserve(last).expect("stored");
-    let kept = PersistentClock::new(&mut flash, REGION, || 0).expect("one is left");
-    assert_eq!(kept.floor(), Timestamp::MAX);
+    let mut kept = first_start(&mut flashes, || 0);
+    kept.reserve(KeySlot::A, last).expect("stored");
+    let kept = start(&mut flashes, || 0);
+    assert_eq!(kept.floor(KeySlot::A), Timestamp::MAX);
 }
 
 #[test]
 fn a_clock_without_battery_is_not_believed() {
-    let mut flash = Flash::<2>::default();
-    let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
-    kept.reserve(at(NOW)).expect("stored");
+    let mut flashes = Marks::default();
+    let mut kept = first_start(&mut flashes, || 0);
+    kept.reserve(KeySlot::A, at(NOW)).expect("stored");
     let least = NOW + FIRST_RESERVATION - RESERVATION - Window::ONE_MINUTE.ahead;
     let before = kept.now();
     let told = kept.update(TimeSource::Trusted, at(least - 1));
-    assert_eq!(told, Err(TimeBehindMark));
+    assert_eq!(told, Err(TimeError::BehindMark));
     assert_eq!(
-        TimeBehindMark.to_string(),
+        TimeError::BehindMark.to_string(),
         "the time told has passed: later timestamps have been used"
+    );
+    let told = kept.update(TimeSource::Trusted, Timestamp::MAX);
+    assert_eq!(told, Err(TimeError::BeyondCeiling));
+    assert_eq!(
+        TimeError::BeyondCeiling.to_string(),
+        "the time told is too far ahead to be right"
     );
     assert_eq!((kept.sync(), kept.now()), (SyncState::Unsynced, before));
     assert_eq!(kept.update(TimeSource::Bounded, at(least - 1)), Ok(100_000));
@@ -276,24 +287,244 @@ fn a_clock_without_battery_is_not_believed() {
 
 #[test]
 fn below_the_floor_nothing_is_used_whoever_asks() {
-    let mut flash = Flash::<2>::default();
-    let mut kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
-    kept.reserve(at(NOW)).expect("stored");
-    let mut kept = PersistentClock::new(&mut flash, REGION, || 5).expect("fits");
+    let mut flashes = Marks::default();
+    let mut kept = first_start(&mut flashes, || 0);
+    kept.reserve(KeySlot::A, at(NOW)).expect("stored");
+    let mut kept = start(&mut flashes, || 5);
     assert_eq!(kept.monotonic(), 5);
-    let floor = kept.floor();
-    assert_eq!(kept.reserve(at(floor.ticks() - 1)), Err(NotStored));
-    kept.reserve(floor).expect("stored");
-    // A stamper and a receiver that were not made for it: what it heard before is not accepted again.
+    let floor = kept.floor(KeySlot::A);
+    let below = at(floor.ticks() - 1);
+    assert_eq!(kept.reserve(KeySlot::A, below), Err(NotStored));
+    assert_eq!(kept.reserve(KeySlot::B, floor), Err(NotStored), "no key");
+    kept.reserve(KeySlot::A, floor).expect("stored");
+    // A stamper and a receiver that know nothing of it: what it heard before is not accepted again.
     let frame = signed(NOW);
     let frame = FrameRef::parse(frame.as_bytes()).expect("whole");
     let key = SigningKey::<Hmac>::new(&KEY).expect("a key");
     let authentic = mavlink_signing::authenticate(frame, &key).expect("signed");
     let mut receiver = ReplayGuard::new(LINK_IN, Window::ONE_MINUTE);
     let verdict = kept.admit(&mut receiver, authentic).map(drop);
-    assert_eq!(verdict, Err(VerifyError::NotStored));
+    assert_eq!(verdict, Err(VerifyError::Replayed));
     let stamp = kept.stamp(&mut Stamper::new(LINK_OUT));
-    assert_eq!(stamp, Err(SignError::NotStored));
+    assert_eq!(stamp.map(|stamp| stamp.timestamp), Ok(floor));
+}
+
+/// The whole of a device's flash.
+fn flash(flashes: &mut [Flash<2>; 3]) -> LinkFlash<&mut Flash<2>> {
+    let [keys, a, b] = flashes.each_mut();
+    LinkFlash {
+        keys,
+        marks: [a, b],
+        region: REGION,
+    }
+}
+
+fn open(
+    flashes: &mut [Flash<2>; 3],
+    first: FirstKey<'_>,
+) -> Result<RolloverState, LinkMemoryError> {
+    let opened = LinkMemory::open::<Hmac>(flash(flashes), first, || 0);
+    opened.map(|(keys, _)| keys.rollover_state())
+}
+
+/// The power fails inside any write of the first start, and again at the next ones: then it starts.
+#[test]
+fn a_cut_in_the_first_provisioning_leaves_a_device_that_starts() {
+    let mut cuts = 0;
+    for chance in 0..6 {
+        for cut in 0..100 {
+            let mut flashes = [chance, !chance, chance / 2].map(Flash::<2>::new);
+            let which = cut % 3;
+            for again in 0..3 {
+                flashes[which].cut_after((cut / 3 / (1 << again)) as u32);
+                let _ = open(&mut flashes, FirstKey::Own(&KEY));
+                cuts += u32::from(!flashes[which].has_power());
+                flashes.iter_mut().for_each(Flash::restart);
+            }
+            let opened = open(&mut flashes, FirstKey::Own(&KEY));
+            assert_eq!(opened, Ok(RolloverState::Settled), "{chance} {cut}");
+        }
+    }
+    assert!(cuts > 600, "{cuts}");
+}
+
+/// What was lost is not made anew in silence.
+#[test]
+fn what_a_device_has_lost_it_says() {
+    let mut flashes = [1, 2, 3].map(Flash::<2>::new);
+    assert_eq!(
+        open(&mut flashes, FirstKey::None),
+        Err(LinkMemoryError::NoKey)
+    );
+    let published = *b"mavseal demo key, not a secret!!";
+    let refused = open(&mut flashes, FirstKey::Own(&published));
+    let reason = KeyChangeError::Key(KeyError::Published);
+    assert_eq!(refused, Err(LinkMemoryError::Key(reason)));
+    for none in [
+        [0; KEY_SIZE],
+        [0xFF; KEY_SIZE],
+        mavlink_signing::passphrase_key(""),
+    ] {
+        assert!(open(&mut flashes, FirstKey::Demonstration(&none)).is_err());
+    }
+    let demonstration = FirstKey::Demonstration(&published);
+    assert_eq!(
+        open(&mut flashes, demonstration),
+        Ok(RolloverState::Settled)
+    );
+    let kept = flashes.clone();
+
+    // Its keys were erased, or cannot be read; its mark is blank, cannot be read, or is the other key's.
+    flashes[0] = Flash::new(1);
+    let erased = open(&mut flashes, demonstration);
+    assert_eq!(erased, Err(LinkMemoryError::KeysLost));
+    flashes = kept.clone();
+    (0..2 * PAGE_SIZE)
+        .step_by(WORD_SIZE)
+        .for_each(|word| flashes[0].spoil(word));
+    let unreadable = open(&mut flashes, demonstration);
+    assert_eq!(unreadable, Err(LinkMemoryError::KeysUnreadable));
+    flashes = kept.clone();
+    flashes[1] = Flash::new(1);
+    let blank = open(&mut flashes, demonstration);
+    assert_eq!(blank, Err(LinkMemoryError::Mark(MarkError::NotProvisioned)));
+    flashes = kept.clone();
+    flashes.swap(1, 2);
+    let swapped = open(&mut flashes, demonstration);
+    assert_eq!(
+        swapped,
+        Err(LinkMemoryError::Mark(MarkError::NotProvisioned))
+    );
+    flashes = kept.clone();
+    flashes[1] = kept[0].clone();
+    let foreign = open(&mut flashes, demonstration);
+    assert_eq!(foreign, Err(LinkMemoryError::Mark(MarkError::Unreadable)));
+
+    // Somebody gives it a key.
+    let given = LinkMemory::provision::<Hmac>(flash(&mut flashes), &[5; KEY_SIZE], || 0);
+    assert!(given.is_ok());
+    assert_eq!(
+        open(&mut flashes, FirstKey::None),
+        Ok(RolloverState::Settled)
+    );
+    assert!(!flashes[0].holds(b"mavseal "), "the old one is gone");
+}
+
+/// Whoever has the old key, or led the clock away with it, spoils nothing of the new one.
+#[test]
+fn a_new_key_begins_anew() {
+    const NEW: [u8; KEY_SIZE] = [9; KEY_SIZE];
+    const DAY: u64 = 24 * 3600 * 100_000;
+    let by = |secret: &[u8; KEY_SIZE], payload: u8, ticks| {
+        let mut frame = Frame::new(header(), &[payload]).expect("a heartbeat");
+        let key = SigningKey::<Hmac>::new(secret).expect("a key");
+        let stamp = Stamp {
+            link_id: LINK_IN,
+            timestamp: at(ticks),
+        };
+        sign_frame(&mut frame, &key, stamp).expect("unsigned");
+        frame
+    };
+    let mut flashes = [1, 2, 3].map(Flash::<2>::new);
+    let opened = LinkMemory::open(flash(&mut flashes), FirstKey::Own(&KEY), || 0);
+    let (keys, memory) = opened.expect("a key");
+    let LinkMemory {
+        mut store,
+        clock: mut kept,
+    } = memory;
+    let receiver = ReplayGuard::new(LINK_IN, Window::ONE_MINUTE);
+    let mode = ForwardMode::StripSignature;
+    let mut relay = Relay::new(keys, Stamper::new(LINK_OUT), receiver, mode).expect("two links");
+    let heartbeat = Frame::new(header(), &[1]).expect("a heartbeat");
+    // A former friend leads the clock away, as far as one can.
+    assert!(hears(&mut relay, &mut kept, &by(&KEY, 1, NOW)));
+    assert!(hears(&mut relay, &mut kept, &by(&KEY, 2, NOW + 364 * DAY)));
+    assert!(!hears(
+        &mut relay,
+        &mut kept,
+        &by(&KEY, 3, NOW + 2 * 364 * DAY)
+    ));
+    assert!(!hears(&mut relay, &mut kept, &by(&KEY, 4, NOW + 9)));
+    let setup = SetupSigning {
+        target_system: 1,
+        target_component: 25,
+        secret_key: NEW,
+        initial_timestamp: at(NOW + 10),
+    };
+    let applied = relay.apply_setup(&setup, &mut kept, &mut store);
+    assert_eq!(applied, Ok(()));
+    // The station, with the right time: under the old key, then under the new one. Its stamps are near.
+    assert!(hears(&mut relay, &mut kept, &by(&NEW, 5, NOW + 20)));
+    let (_, stamps, _) = run(&mut relay, &mut kept, &[&heartbeat], &[]);
+    assert!(stamps[0] >= NOW + 10 && stamps[0] < NOW + 100);
+    // With the old one, nothing is moved any more, confirmed or not.
+    assert!(!hears(&mut relay, &mut kept, &by(&KEY, 6, NOW + 365 * DAY)));
+    assert_eq!(relay.confirm_key(&mut store), Ok(()));
+    assert!(!hears(&mut relay, &mut kept, &by(&KEY, 7, NOW + 365 * DAY)));
+    assert!(hears(&mut relay, &mut kept, &by(&NEW, 8, NOW + 30)));
+    assert_eq!(relay.retire_key(&mut store), Ok(()));
+    assert!(hears(&mut relay, &mut kept, &by(&NEW, 9, NOW + 40)));
+    // The same over a restart; what was accepted is not accepted again.
+    let opened = LinkMemory::open(flash(&mut flashes), FirstKey::None, || 0);
+    let (keys, mut memory) = opened.expect("a key");
+    let receiver = ReplayGuard::new(LINK_IN, Window::ONE_MINUTE);
+    let mut relay = Relay::new(keys, Stamper::new(LINK_OUT), receiver, mode).expect("two links");
+    assert!(!hears(
+        &mut relay,
+        &mut memory.clock,
+        &by(&NEW, 9, NOW + 40)
+    ));
+    assert!(hears(
+        &mut relay,
+        &mut memory.clock,
+        &by(&NEW, 10, NOW + RESERVATION)
+    ));
+    assert!(!flashes[0].holds(&[7; WORD_SIZE]), "the old key is gone");
+}
+
+fn hears(relay: &mut Relay<Hmac>, kept: &mut impl LinkClock, frame: &Frame) -> bool {
+    run(relay, kept, &[], &[frame]).0 == 1
+}
+
+/// A timestamp that cannot be right, or comes with the key in use, does nothing.
+#[test]
+fn the_time_of_a_key_sets_no_clock_that_knows_better() {
+    for (initial, synced) in [
+        (Timestamp::MAX, true),
+        (at(123_456_789), true),
+        (at(NOW - 5), true),
+        (Timestamp::MAX, false),
+    ] {
+        let mut flashes = [1, 2, 3].map(Flash::<2>::new);
+        let opened = LinkMemory::open(flash(&mut flashes), FirstKey::Own(&KEY), || 0);
+        let (keys, memory) = opened.expect("a key");
+        let LinkMemory {
+            mut store,
+            clock: mut kept,
+        } = memory;
+        if synced {
+            kept.update(TimeSource::Trusted, at(NOW)).expect("told");
+        }
+        let before = kept.now();
+        let receiver = ReplayGuard::new(LINK_IN, Window::ONE_MINUTE);
+        let mode = ForwardMode::StripSignature;
+        let mut relay =
+            Relay::new(keys, Stamper::new(LINK_OUT), receiver, mode).expect("two links");
+        for secret_key in [[9; KEY_SIZE], [9; KEY_SIZE]] {
+            let setup = SetupSigning {
+                target_system: 1,
+                target_component: 25,
+                secret_key,
+                initial_timestamp: initial,
+            };
+            assert_eq!(relay.apply_setup(&setup, &mut kept, &mut store), Ok(()));
+            assert_eq!(kept.now(), before);
+        }
+        let heartbeat = Frame::new(header(), &[1]).expect("a heartbeat");
+        let (_, stamps, rejected) = run(&mut relay, &mut kept, &[&heartbeat], &[]);
+        assert_eq!((stamps.len(), rejected), (1, vec![]));
+        assert!(stamps[0] < before.ticks() + 10 * RESERVATION);
+    }
 }
 
 #[test]
@@ -302,7 +533,9 @@ fn a_key_that_cannot_be_read_is_not_taken_for_none() {
     let (mut slots, _) = FlashKeyStore::open::<Hmac>(&mut flash, REGION).expect("fits");
     slots.provision::<Hmac>(&[1; KEY_SIZE]).expect("stored");
     assert!(!slots.is_empty());
-    flash.spoil(PAGE_SIZE + WORD_SIZE);
+    (0..PAGE_SIZE)
+        .step_by(WORD_SIZE)
+        .for_each(|word| flash.spoil(word));
     let (slots, keys) = FlashKeyStore::open::<Hmac>(&mut flash, REGION).expect("fits");
     assert!(keys.is_none() && !slots.is_empty());
 }
@@ -331,10 +564,11 @@ fn every_start_stores_the_keys_again() {
     for start in 1..=100 {
         let (_, keys) = FlashKeyStore::open::<Hmac>(&mut flash, REGION).expect("fits");
         assert!(keys.is_some());
-        assert_eq!(flash.writes() - writes, start * 10);
+        // Twice ten words, and again where the copies would be in two pages.
+        assert!((start * 20..start * 25).contains(&(flash.writes() - writes)));
     }
-    // A page takes 25; then the other is erased, and this one.
-    assert_eq!(flash.erases() - erases, 8);
+    // A page takes 12 pairs; then the other is erased, and this one.
+    assert!(flash.erases() - erases <= 18);
     // Lost for one start if nothing can be stored: what cannot be relied on is not used.
     flash.fail(255);
     let (slots, keys) = FlashKeyStore::open::<Hmac>(&mut flash, REGION).expect("fits");
@@ -385,8 +619,11 @@ fn a_failed_erase_does_not_hold_up_a_change() {
         }
         let next = keys.offer(&[3; KEY_SIZE], &mut slots);
         assert!([Ok(()), Err(KeyChangeError::NotStored)].contains(&next));
+        let told = slots.retired_key_remains();
         let mut flash = slots.into_flash();
-        left += u32::from(flash.holds(&[2; WORD_SIZE]));
+        let remains = flash.holds(&[2; WORD_SIZE]);
+        assert!(!remains || told, "a key that is still there is told of");
+        left += u32::from(told);
         flash.fail(0);
         let (mut slots, keys) = FlashKeyStore::open::<Hmac>(flash, REGION).expect("fits");
         let mut keys = keys.expect("stored");
@@ -396,7 +633,7 @@ fn a_failed_erase_does_not_hold_up_a_change() {
         let (slots, _) = FlashKeyStore::open::<Hmac>(slots.into_flash(), REGION).expect("fits");
         assert!(!slots.into_flash().holds(&[2; WORD_SIZE]));
     }
-    assert!(left > 0, "an erase failed after the key was given up");
+    assert!(left > 0, "neither erased nor overwritten");
 }
 
 /// What `act` does with the slots in `flash`, found as they are.
@@ -433,16 +670,16 @@ fn setup_signing_is_taken_on_the_local_side_alone_and_by_its_target() {
         frame.expect("in the dialect")
     };
     let mut clock = at(NOW);
-    let mut flash = Flash::<2>::default();
-    let kept = PersistentClock::new(&mut flash, REGION, || 0).expect("fits");
     let (ours, other) = (frame(25, 9), frame(26, 8));
 
-    let mut deaf = relay(&kept);
+    let mut deaf = relay();
+    deaf.set_presence(Presence::Shown);
     run(&mut deaf, &mut clock, &[&ours], &[]);
     assert!(deaf.take_setup().is_none(), "it was not told to");
 
-    let mut relay = relay(&kept);
+    let mut relay = relay();
     relay.keep_setup(1, 25);
+    relay.set_presence(Presence::Shown);
     let (passed, stamps, rejected) = run(&mut relay, &mut clock, &[&ours, &other], &[&ours]);
     assert_eq!((passed, stamps.len()), (0, 0));
     assert_eq!(rejected, [RejectReason::SetupSigning; 3]);

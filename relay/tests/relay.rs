@@ -3,13 +3,13 @@
 mod ports;
 
 use mavlink_signing::{
-    AllowRadioStatus, AntiReplay, Frame, FrameRef, Header, Hmac, Links, MessageId, Packet,
-    RejectUnsigned, ReplayGuard, SigningKey, Stamp, Stamper, StreamTable, Timestamp,
+    AllowRadioStatus, AntiReplay, Frame, FrameRef, Header, Hmac, KeySlot, Links, MessageId, Packet,
+    RejectUnsigned, ReplayGuard, SetupSigning, SigningKey, Stamp, Stamper, StreamTable, Timestamp,
     UnsignedPolicy, VerifyError, Window, crc::checksum, sign_frame,
 };
 use mavseal_relay::{
-    Counters, Direction, Event, ForwardMode, IDLE, RejectReason, RejectedPacket, Relay, SameLinkId,
-    Signer, Verifier,
+    Counters, Direction, Endpoint, Event, ForwardMode, IDLE, Presence, RejectReason,
+    RejectedPacket, Relay, SameLinkId, Senders, Signer, Verifier,
     adapter::{self, Polled, PortError},
 };
 use ports::{Broken, Line};
@@ -78,6 +78,12 @@ impl<R: AntiReplay, U: UnsignedPolicy> Bench<R, U> {
         self.run();
     }
 
+    /// The lines are silent for so long that a deaf side hears again.
+    fn silence(&mut self) {
+        self.now += SILENCE + 1;
+        self.run();
+    }
+
     fn link_in(&mut self, bytes: &[u8]) {
         self.link.input.extend(bytes);
         self.run();
@@ -92,15 +98,18 @@ fn at(ticks: u64) -> Timestamp {
     Timestamp::from_ticks(ticks).expect("48 bits")
 }
 
-fn unsigned(payload: &[u8]) -> Frame {
-    let header = Header {
+fn header() -> Header {
+    Header {
         compat_flags: 0x40,
         sequence: 9,
         system_id: 1,
         component_id: 1,
         message_id: MessageId::from(0),
-    };
-    Frame::new(header, payload).expect("a frame")
+    }
+}
+
+fn unsigned(payload: &[u8]) -> Frame {
+    Frame::new(header(), payload).expect("a frame")
 }
 
 fn signed(payload: &[u8], link_id: u8, ticks: u64) -> Frame {
@@ -160,12 +169,17 @@ fn signs_what_comes_from_the_local_side() {
 fn what_must_not_be_signed_is_rejected_and_counted() {
     let mut bench = Bench::new();
     let frame = unsigned(&[1, 2, 3]);
-    bench.local_in(&damaged(frame.as_bytes(), 10, 4));
-    bench.local_in(&damaged(frame.as_bytes(), 9, 0x80));
-    bench.local_in(&damaged(frame.as_bytes(), 2, 0x20));
     bench.local_in(&MAVLINK1);
     bench.local_in(signed(&[1, 2, 3], LINK_OUT, NOW).as_bytes());
+    for (offset, flip) in [(10, 4), (9, 0x80), (2, 0x20)] {
+        bench.local_in(&damaged(frame.as_bytes(), offset, flip));
+        // What follows may lie within a payload, for all that is known.
+        bench.local_in(frame.as_bytes());
+        bench.silence();
+    }
     bench.local_in(b"noise");
+    bench.local_in(frame.as_bytes());
+    bench.silence();
     assert!(bench.link.output.is_empty());
     assert_eq!(
         rejections(bench.relay.outbound()),
@@ -178,8 +192,9 @@ fn what_must_not_be_signed_is_rejected_and_counted() {
         ]
     );
     assert_eq!(rejections(bench.relay.inbound()), []);
-    let rejected = Event::Rejected(Direction::Outbound, RejectReason::BadChecksum);
+    let rejected = Event::Rejected(Direction::Outbound, RejectReason::Mavlink1);
     assert_eq!(bench.events.first(), Some(&rejected));
+    assert_eq!(bench.relay.outbound().dropped(), 7 * 15 + 5);
 
     bench.local_in(frame.as_bytes());
     assert_eq!(bench.relay.outbound().passed(), 1);
@@ -315,29 +330,73 @@ fn a_port_that_takes_nothing_is_closed() {
 }
 
 #[test]
-fn silence_gives_up_what_noise_began() {
-    // From the link side the packet behind the noise is found.
+fn noise_that_announces_much_is_given_up_in_time() {
+    // From the link side the packet behind the noise is found, when the noise's own would have come.
     let mut bench = Bench::new();
     bench.link.input.extend([0xFD, 255, 0]);
     bench.link_in(signed(&[1, 2, 3], LINK_IN, NOW).as_bytes());
     assert!(bench.local.output.is_empty());
-    bench.now += SILENCE;
+    let due = bench.relay.poll_at().expect("it is waited for");
+    assert!(
+        due > NOW + SILENCE && due < NOW + 2 * SILENCE,
+        "{}",
+        due - NOW
+    );
+    bench.now = due - 1;
     bench.run();
-    assert!(bench.local.output.is_empty(), "not yet silent for long");
-    bench.now += 1;
+    assert!(bench.local.output.is_empty(), "not yet");
+    bench.now = due;
     bench.run();
     assert_eq!(bench.relay.inbound().passed(), 1);
 
-    // On the local side it may be the noise's payload; the next one is found.
+    // On the local side it may be the packet that it announces: its bytes are waited for, and then it is none.
     let mut bench = Bench::new();
+    let frame = unsigned(&[1, 2, 3]);
     bench.local.input.extend([0xFD, 255, 0]);
-    bench.local_in(unsigned(&[1, 2, 3]).as_bytes());
-    bench.now += SILENCE + 1;
-    bench.run();
+    for _ in 0..17 {
+        bench.local_in(frame.as_bytes());
+        bench.silence();
+    }
     assert!(bench.link.output.is_empty());
-    assert_eq!(bench.relay.outbound().dropped(), 3 + 15);
-    bench.local_in(unsigned(&[1, 2, 3]).as_bytes());
+    bench.local_in(frame.as_bytes());
+    bench.silence();
+    let rejected = rejections(bench.relay.outbound());
+    assert_eq!(rejected, [(RejectReason::UnknownMessage, 1)]);
+    assert_eq!(bench.relay.outbound().dropped(), 3 + 18 * 15);
+    bench.local_in(frame.as_bytes());
     assert_eq!(bench.relay.outbound().passed(), 1);
+}
+
+/// Few bytes hold nobody up: whoever adds a byte now and then delays a frame by no more than a packet takes.
+#[test]
+fn a_few_bytes_a_second_hold_up_nothing() {
+    for (honest, every) in [(1, 90), (5, 90), (10, 490), (1, 490)] {
+        let mut bench = Bench::new();
+        let head = [0xFD, 255, 1, 0, 0, 1, 1, 0, 0, 0];
+        let (mut sent, mut worst, mut passed) = (0_u64, 0, 0);
+        let mut waiting = None;
+        // Steps of 10 milliseconds.
+        for step in 0..12_000_u64 {
+            bench.now = NOW + step * 1000;
+            if step % (every / 10) == 0 {
+                let byte = (step / (every / 10)) as usize % 280;
+                bench.link.input.push_back(*head.get(byte).unwrap_or(&0x55));
+            }
+            if step % (honest * 100) == 50 {
+                let frame = signed(&[1; 33], LINK_IN, bench.now);
+                bench.link.input.extend(frame.as_bytes());
+                sent += 1;
+                waiting = Some(bench.now);
+            }
+            bench.run();
+            if bench.relay.inbound().passed() > passed {
+                passed += 1;
+                worst = worst.max(bench.now - waiting.take().expect("one was sent"));
+            }
+        }
+        assert_eq!(u64::from(passed), sent, "every {every} ms a byte");
+        assert!(worst < 20_000, "200 milliseconds: {worst}");
+    }
 }
 
 #[test]
@@ -359,6 +418,8 @@ fn rejected_frames_use_up_no_stamp() {
     let mut bench = Bench::new();
     bench.local_in(signed(&[1], LINK_OUT, NOW).as_bytes());
     bench.local_in(&damaged(unsigned(&[1]).as_bytes(), 10, 4));
+    bench.silence();
+    bench.now = NOW;
     bench.local_in(unsigned(&[1]).as_bytes());
     assert_eq!(bench.link.output, signed(&[1], LINK_OUT, NOW).as_bytes());
 }
@@ -423,20 +484,136 @@ fn silence_is_as_long_as_one_says() {
         );
         relay.expect("different links").idle(10 * SILENCE)
     };
+    // It ends deafness, and nothing else.
     let frame = unsigned(&[1, 2, 3]);
+    for (waited, passed) in [(10 * SILENCE, 0), (10 * SILENCE + 1, 1)] {
+        bench.local_in(b"noise");
+        bench.now += waited;
+        bench.run();
+        bench.local_in(frame.as_bytes());
+        assert_eq!(bench.relay.outbound().passed(), passed);
+    }
     let (begun, rest) = frame.as_bytes().split_at(5);
     bench.local_in(begun);
-    bench.now += 10 * SILENCE;
-    bench.local_in(rest);
-    assert_eq!(bench.relay.outbound().passed(), 1);
-
-    bench.local_in(begun);
-    bench.now += 10 * SILENCE + 1;
+    bench.now += 1000 * SILENCE;
     bench.run();
     bench.local_in(rest);
-    assert_eq!(bench.relay.outbound().passed(), 1);
-    let dropped = bench.relay.outbound().dropped();
-    assert_eq!(dropped as usize, frame.as_bytes().len());
+    assert_eq!(bench.relay.outbound().passed(), 2);
+}
+
+#[test]
+fn signs_in_the_name_of_its_own_alone() {
+    let from = |system_id, component_id, id: u8| {
+        let header = Header {
+            compat_flags: 0,
+            sequence: 0,
+            system_id,
+            component_id,
+            message_id: MessageId::from(id),
+        };
+        Frame::new(header, &[1, 2, 3]).expect("a frame")
+    };
+    let relay = |senders| {
+        let replay = ReplayGuard::new(LINK_IN, Window::STRICT);
+        let mode = ForwardMode::StripSignature;
+        let relay = Relay::new(key(), Stamper::new(LINK_OUT), replay, mode);
+        Bench::of(relay.expect("different links").senders(senders))
+    };
+    let signs = |bench: &mut Bench, (system_id, component_id, id): (u8, u8, u8)| {
+        let before = bench.relay.outbound().passed();
+        bench.local_in(from(system_id, component_id, id).as_bytes());
+        bench.relay.outbound().passed() > before
+    };
+    // COMMAND_LONG in the name of the station; the vehicle's HEARTBEAT; again; what is the vehicle's own.
+    let mut learning = relay(Senders::default());
+    let tried = [
+        (255, 190, 76),
+        (1, 1, 30),
+        (1, 1, 0),
+        (255, 190, 76),
+        (255, 190, 0),
+        (1, 25, 30),
+    ];
+    let signed = tried.map(|sender| signs(&mut learning, sender));
+    assert_eq!(signed, [false, false, true, false, false, true]);
+    let rejected = rejections(learning.relay.outbound());
+    assert_eq!(rejected, [(RejectReason::ForeignSender, 4)]);
+    for (senders, expected) in [
+        (Senders::System(1), [false, true, true, false, false, true]),
+        (
+            Senders::Listed(&[(255, 190), (1, 25)]),
+            [true, false, false, true, true, true],
+        ),
+        (Senders::Any, [true; 6]),
+    ] {
+        let mut bench = relay(senders);
+        assert_eq!(tried.map(|sender| signs(&mut bench, sender)), expected);
+    }
+}
+
+/// A key is taken from somebody who is there, or who has the one in use, and from nobody else.
+#[test]
+fn a_key_is_taken_with_presence_or_proof() {
+    let setup = |component_id| SetupSigning {
+        target_system: 1,
+        target_component: component_id,
+        secret_key: [9; 32],
+        initial_timestamp: at(NOW),
+    };
+    let frame = |component_id| setup(component_id).to_frame(header());
+    let unsigned_setup = frame(25).expect("in the dialect");
+    let signed_at = |secret: [u8; 32], ticks| {
+        let mut frame = unsigned_setup.clone();
+        let stamp = Stamp {
+            link_id: 0,
+            timestamp: at(ticks),
+        };
+        let key = SigningKey::<Hmac>::new(&secret).expect("a key");
+        sign_frame(&mut frame, &key, stamp).expect("not signed yet");
+        frame
+    };
+    let mut bench = Bench::new();
+    bench.relay.keep_setup(1, 25);
+    let takes = |bench: &mut Bench, frame: &Frame| {
+        bench.local_in(frame.as_bytes());
+        let setup = bench.relay.take_setup();
+        setup.is_some_and(|setup| setup.secret_key == [9; 32])
+    };
+    assert!(!takes(&mut bench, &unsigned_setup), "nobody is there");
+    let rejected = rejections(bench.relay.outbound());
+    assert_eq!(rejected, [(RejectReason::NoPresence, 1)]);
+    bench.relay.set_presence(Presence::Shown);
+    assert!(takes(&mut bench, &unsigned_setup));
+    assert!(
+        !takes(&mut bench, &frame(26).expect("in the dialect")),
+        "another's"
+    );
+    bench.relay.set_presence(Presence::Absent);
+    assert!(!takes(&mut bench, &unsigned_setup));
+
+    // Proof: the key in use, and later than before.
+    assert!(takes(&mut bench, &signed_at(KEY, NOW)));
+    assert!(!takes(&mut bench, &signed_at(KEY, NOW)), "a recording");
+    assert!(!takes(&mut bench, &signed_at(KEY, NOW - 1)), "an old one");
+    assert!(
+        !takes(&mut bench, &signed_at([8; 32], NOW + 9)),
+        "another key"
+    );
+    assert!(takes(&mut bench, &signed_at(KEY, NOW + 1)));
+    // From the radio, everybody reads it.
+    bench.link_in(signed_at(KEY, NOW + 2).as_bytes());
+    assert!(bench.relay.take_setup().is_none());
+
+    // After it was switched on, until anything else comes: noise, or a packet.
+    for other in [&b"noise"[..], unsigned(&[1]).as_bytes(), &MAVLINK1] {
+        bench.silence();
+        bench.relay.set_presence(Presence::AtStart);
+        assert!(takes(&mut bench, &unsigned_setup));
+        assert!(takes(&mut bench, &unsigned_setup));
+        bench.local_in(other);
+        bench.silence();
+        assert!(!takes(&mut bench, &unsigned_setup));
+    }
 }
 
 #[test]
@@ -501,11 +678,11 @@ fn what_the_cores_table_does_not_know_is_rejected() {
             let repaired = checksum(&bytes[1..11], 0).to_le_bytes();
             bytes[11..13].copy_from_slice(&repaired);
         }
-        let mut signer = Signer::new(Stamper::new(LINK_OUT));
-        let rejected = signer.sign(packet(&local), &key(), &mut at(NOW));
+        let mut signer = Signer::new(Stamper::new(LINK_OUT)).for_senders(Senders::Any);
+        let rejected = signer.sign(packet(&local), &key().into(), &mut at(NOW));
         assert_eq!(rejected, Err(reason));
         let replay = ReplayGuard::new(LINK_IN, Window::STRICT);
-        let mut verifier = Verifier::new(replay, ForwardMode::StripSignature);
+        let mut verifier = Verifier::new(KeySlot::A, replay, ForwardMode::StripSignature);
         let rejected = verifier.verify(packet(&link), &mut &key(), &mut at(NOW));
         assert_eq!(rejected, Err(reason));
     }
@@ -542,6 +719,8 @@ fn what_is_wrong_is_said() {
         [
             "MAVLink 1",
             "SETUP_SIGNING",
+            "no presence",
+            "foreign sender",
             "unknown flags",
             "unknown message",
             "bad checksum",
@@ -553,7 +732,7 @@ fn what_is_wrong_is_said() {
             "from the future",
             "too old",
             "replayed",
-            "streams full",
+            "reflected",
             "not stored",
             "line closed",
             "other",
@@ -637,17 +816,20 @@ fn several_peers_each_have_their_order() {
         bench.link_in(signed(&[1, 2, 3], link_id, ticks).as_bytes());
     }
     let counters = bench.relay.inbound();
-    assert_eq!(counters.passed(), 3);
-    let expected = [(RejectReason::Replayed, 1), (RejectReason::StreamsFull, 1)];
-    assert_eq!(rejections(counters), expected);
+    // The third stream takes the row of the one with the oldest stamp, which is heard again when it has come after.
+    assert_eq!(counters.passed(), 4);
+    assert_eq!(rejections(counters), [(RejectReason::Replayed, 1)]);
+    bench.link_in(signed(&[1, 2, 3], 3, NOW - 4).as_bytes());
     let rejected = RejectedPacket {
         system_id: 1,
         component_id: 1,
-        link_id: Some(4),
+        link_id: Some(3),
         message_id: MessageId::from(0),
-        rejection: RejectReason::StreamsFull,
+        rejection: RejectReason::Replayed,
     };
-    assert_eq!(counters.last_rejected(), Some(rejected));
+    assert_eq!(bench.relay.inbound().last_rejected(), Some(rejected));
+    bench.link_in(signed(&[1, 2, 3], 3, NOW - 3).as_bytes());
+    assert_eq!(bench.relay.inbound().passed(), 5);
 }
 
 /// A peer may sign for the link id that the relay signs for: what the relay signed is rejected all the
@@ -671,11 +853,24 @@ fn own_frames_are_rejected_on_a_shared_link_id() {
     bench.link_in(&own);
     let counters = bench.relay.inbound();
     assert_eq!(
-        (counters.passed(), counters.rejected(RejectReason::Replayed)),
+        (
+            counters.passed(),
+            counters.rejected(RejectReason::Reflected)
+        ),
         (0, 2)
     );
 
-    let peer = signed(&[7, 8, 9], LINK_OUT, NOW + 2);
+    // Of another system: what it signs is its own.
+    let header = Header {
+        system_id: 255,
+        ..header()
+    };
+    let mut peer = Frame::new(header, &[7, 8, 9]).expect("a frame");
+    let stamp = Stamp {
+        link_id: LINK_OUT,
+        timestamp: at(NOW + 2),
+    };
+    sign_frame(&mut peer, &key(), stamp).expect("not signed yet");
     bench.link_in(peer.as_bytes());
     assert_eq!(bench.relay.inbound().passed(), 1);
     assert_eq!(bench.local.output, peer.as_bytes());

@@ -160,8 +160,8 @@ impl<F: NorFlash, const N: usize> Journal<F, N> {
         self.pages.replace(contents)
     }
 
-    /// Erases everything but what was stored last, and stores that again before; nothing if there is nothing
-    /// else. It finishes a [`Journal::replace`] that the power cut.
+    /// Erases everything but what was stored last: stores that again, and [replaces](Journal::replace) all by it;
+    /// nothing if there is nothing else. It finishes a replacement that the power cut.
     ///
     /// # Errors
     ///

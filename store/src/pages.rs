@@ -33,8 +33,9 @@ pub(crate) struct Pages<F> {
     slots: u32,
     /// Places that were not blank, and those written since.
     pub(crate) used: u32,
-    /// The record that counts.
+    /// The record that counts, and a copy of it.
     pub(crate) newest: Option<Place>,
+    spare: Option<Place>,
     /// Where the next record goes; after its page if that is full.
     pub(crate) next: Place,
     /// The sequence number of the first record in the page of `next`: how many places the pages had that were
@@ -67,6 +68,7 @@ impl<F: NorFlash> Pages<F> {
             slots: region.page_size / size,
             used: 0,
             newest: None,
+            spare: None,
             next: Place { page: 0, slot: 0 },
             base: 0,
         })
@@ -86,6 +88,8 @@ impl<F: NorFlash> Pages<F> {
                     Found::Garbage => {}
                     Found::Record(read, sequence) => {
                         if highest.is_none_or(|highest| sequence > highest) {
+                            let copied = highest.is_some() && contents == read;
+                            self.spare = self.newest.filter(|_| copied);
                             highest = Some(sequence);
                             self.newest = Some(place);
                             copy(contents, read);
@@ -110,28 +114,36 @@ impl<F: NorFlash> Pages<F> {
 
     pub(crate) fn read_newest(&mut self, contents: &mut [u8]) -> bool {
         let mut buffer = [0; MAX_RECORD_SIZE];
-        let found = match self.newest.map(|newest| self.read(newest, &mut buffer)) {
-            Some(Found::Record(read, _)) => {
+        let mut found = false;
+        for place in [self.newest, self.spare].into_iter().flatten() {
+            if let (false, Found::Record(read, _)) = (found, self.read(place, &mut buffer)) {
                 copy(contents, read);
-                true
+                found = true;
             }
-            _ => false,
-        };
+        }
         buffer.zeroize();
         found
     }
 
     /// Half of all erases so far, rounded up.
     pub(crate) const fn erases(&self) -> u32 {
-        self.base.div_ceil(2 * self.slots)
+        match self.base.checked_div(self.slots) {
+            Some(erases) => erases.div_ceil(2),
+            // A page has places.
+            None => 0,
+        }
     }
 
     pub(crate) fn provision(&mut self, contents: &[u8]) -> Result<(), StoreError> {
         if self.used >= COPIES_FIRST {
             return self.replace(contents);
         }
+        let blank = self.used == 0;
         // No erase: a cut in one may leave a page of garbage, which would look like damage.
         self.append(contents)?;
+        if blank {
+            return Ok(());
+        }
         self.sweep(contents)
     }
 
@@ -148,10 +160,9 @@ impl<F: NorFlash> Pages<F> {
         if clean == [true; 2] {
             return Ok(());
         }
-        self.count_erase();
         // What counts may be what a cut has left, and may not be found again.
         self.append(contents)?;
-        self.sweep(contents)
+        self.replace(contents)
     }
 
     /// Writes records of `contents`, each in a place that holds it: more at the beginning of a page, as the other
@@ -159,7 +170,7 @@ impl<F: NorFlash> Pages<F> {
     pub(crate) fn append(&mut self, contents: &[u8]) -> Result<(), StoreError> {
         let mut copies = COPIES.max(COPIES_FIRST.saturating_sub(self.next.slot));
         let (mut written, mut failed, mut turned) = (0, 0, false);
-        let mut last = self.newest;
+        let (mut last, mut before) = (self.newest, None);
         while written < copies {
             if self.next.slot >= self.slots {
                 // Once in a call: a page that takes no record would be erased for ever.
@@ -173,6 +184,7 @@ impl<F: NorFlash> Pages<F> {
             }
             let place = self.next;
             if self.try_append(contents)? {
+                before = last.filter(|_| written > 0);
                 last = Some(place);
                 written += 1;
             } else {
@@ -183,7 +195,7 @@ impl<F: NorFlash> Pages<F> {
             }
         }
         // Only now: the page that holds what was stored before was not erased meanwhile.
-        self.newest = last;
+        (self.newest, self.spare) = (last, before);
         Ok(())
     }
 
@@ -266,9 +278,10 @@ impl<F: NorFlash> Pages<F> {
         let mut buffer = [0; MAX_RECORD_SIZE];
         let word = buffer.get_mut(..Self::WORD).unwrap_or_default();
         let read = self.flash.read(offset, word).is_ok();
-        let wiped = [0, ERASED].map(|wiped| word.iter().all(|byte| *byte == wiped));
+        let zero = word.iter().all(|byte| *byte == 0);
+        let erased = word.iter().all(|byte| *byte == ERASED);
         buffer.zeroize();
-        read.then_some(wiped != [false; 2])
+        read.then_some(zero || erased)
     }
 
     /// Where the words of this place begin.

@@ -1,16 +1,10 @@
-//! What a panic does. The images that are deployed have none.
+//! What a panic does: it resets the board. The images that are deployed have none.
 
 use core::panic::PanicInfo;
 
-#[cfg(feature = "logging")]
 #[panic_handler]
-fn panic(info: &PanicInfo) -> ! {
-    defmt::error!("{}", defmt::Display2Format(info));
-    semihosting::process::abort()
-}
-
-#[cfg(not(feature = "logging"))]
-#[panic_handler]
-fn panic(_: &PanicInfo) -> ! {
-    cortex_m::asm::udf()
+fn panic(_info: &PanicInfo) -> ! {
+    #[cfg(feature = "logging")]
+    defmt::error!("{}", defmt::Display2Format(_info));
+    cortex_m::peripheral::SCB::sys_reset()
 }

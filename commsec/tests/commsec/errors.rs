@@ -25,7 +25,7 @@ fn texts() {
         offset: 9,
         fault: ParseError::Truncated,
     };
-    let texts: [(&dyn Error, &str); 29] = [
+    let texts: [(&dyn Error, &str); 32] = [
         (&CipherError, "the cipher rejected"),
         (
             &SealingKeyError::WrongLength(15),
@@ -67,15 +67,30 @@ fn texts() {
             &OpenError::UnknownSender(SenderId(16)),
             "sender 16 is not permitted",
         ),
-        (&stale, "counter 2 is not newer than 3, the last accepted"),
+        (
+            &stale,
+            "counter 2 is a replay or too old: 3 is the newest accepted",
+        ),
         (&EpochError, "all epochs of the key are used up"),
         (
             &stale_in_epoch,
-            "counter 9 of epoch 1 is not newer than 1 of epoch 2, the last accepted",
+            "counter 9 of epoch 1 is a replay or too old: 1 of epoch 2 is the newest accepted",
         ),
         (
             &OpenError::IntegrityLimitReached,
             "too many wrong tags: the key is worn out",
+        ),
+        (
+            &OpenError::JumpTooFar(SenderId(5)),
+            "sender 5 has passed over too many counters",
+        ),
+        (
+            &OpenError::TooOld(SenderId(5)),
+            "a package of sender 5 is too old",
+        ),
+        (
+            &OpenError::FromFuture(SenderId(5)),
+            "a package of sender 5 is from the future",
         ),
         (&OpenError::BadTag, "bad tag: another key or a forgery"),
         (

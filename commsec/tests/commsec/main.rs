@@ -9,3 +9,4 @@ mod packing;
 mod radio;
 mod sealing;
 mod vectors;
+mod window;

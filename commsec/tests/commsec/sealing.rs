@@ -2,8 +2,9 @@
 
 use mavlink_commsec::field::{HEADER_SIZE, PLAINTEXT_SIZE};
 use mavlink_commsec::{
-    AesGcm, Cipher, CipherError, Credential, Nonce, PackageTag, Packer, Plaintext, SealError,
-    Sealer, SealingKey, SealingKeyError, SenderId, ZeroizeOnDrop, packets,
+    AesGcm, Cipher, CipherError, Credential, EpochHeader, EpochSenderId, Nonce, PackageTag, Packer,
+    Plaintext, SealError, Sealer, SealingKey, SealingKeyError, SenderId, ZeroizeOnDrop, hx,
+    packets,
 };
 
 use crate::common::{hex, key, message, seal};
@@ -170,6 +171,7 @@ fn failed_unit_uses_the_counter_up() {
 /// Nothing that holds a key or a message shows it.
 #[test]
 fn debug_shows_no_secrets() {
+    let frame = hx::Frame::new(hx::FrameKind::Radio, &[0x41; 20]).expect("a frame");
     let shown = [
         format!("{:?}", key(BASE_KEY, BASE_SALT)),
         format!("{:?}", AesGcm::new(&[0x41; 16])),
@@ -198,6 +200,15 @@ fn debug_shows_no_secrets() {
             format!("{packer:?}")
         },
         format!("{:?}", packets(&[0x41; PLAINTEXT_SIZE])),
+        format!("{frame:?}"),
+        format!("{:?}", frame.encode()),
+        {
+            let mut decoder = hx::Decoder::new();
+            for byte in frame.encode().take(12) {
+                assert_eq!(decoder.push(byte), None);
+            }
+            format!("{decoder:?}")
+        },
     ];
     let expected = [
         "Key(redacted)",
@@ -205,9 +216,12 @@ fn debug_shows_no_secrets() {
         "Credential { id: SenderId(5), .. }",
         "Sealer { key: Key(redacted), id: SenderId(5), next: 1 }",
         "Ok(Opened { header: PackageHeader { sender: SenderId(5), counter: 1 }, .. })",
-        "Opener { senders: [Row { sender: SenderId(5), key: 0, last: 0 }], limit: 16777216, .. }",
+        "Opener { senders: [Row { sender: SenderId(5), key: 0, seen: Seen { newest: 0, behind: 18446744073709551615, passed_over: 0 } }], limit: 4294967295, .. }",
         "Packer { pending: 10, rejected: 0, .. }",
         "Packets { rest: 80 }",
+        "Frame { kind: Radio, payload: 20 }",
+        "Encode { payload: 20, .. }",
+        "Decoder { state: Payload(Radio), payload: 10 }",
     ];
     assert_eq!(shown, expected);
 }
@@ -226,4 +240,37 @@ fn credential_is_the_key() {
         package.expect("a counter is left").as_bytes()[..],
         hex(vector.package)
     );
+}
+
+/// Counters go forward with a clock, and by one where it does not.
+#[test]
+fn counters_follow_a_clock() {
+    let mut sealer: Sealer = Sealer::new(key(BASE_KEY, BASE_SALT), SenderId(5));
+    for (clock, counter) in [(0, 1), (9, 9), (9, 10), (3, 11), (12, 12)] {
+        sealer.advance_to(clock);
+        assert_eq!(sealer.next_counter(), Some(counter));
+        let package = sealer.seal(&[0; PLAINTEXT_SIZE]).expect("counters");
+        assert_eq!(package.as_bytes()[4..8], counter.to_be_bytes());
+    }
+    sealer.advance_to(u32::MAX);
+    assert_eq!(sealer.next_counter(), None);
+}
+
+/// The front of a tag under a number that is never sent; another key, salt, id or header has another.
+#[test]
+fn fingerprints() {
+    let bytes: [u8; 16] = hex(BASE_KEY).try_into().expect("16 bytes");
+    let nonce = hex("0000435300000005ffffffff");
+    let tag = AesGcm::new(&bytes).seal(&nonce.try_into().expect("12 bytes"), &mut [0; 80]);
+    let of = |key: SealingKey, id| key.fingerprint(SenderId(id)).expect("AES does not fail");
+    let five = of(key(BASE_KEY, BASE_SALT), 5);
+    assert_eq!(five[..], tag.expect("AES does not fail")[..4]);
+    let epochs = SealingKey::<AesGcm, EpochHeader>::new(&bytes, BASE_SALT).expect("a key");
+    let others = [
+        of(key(BASE_KEY, BASE_SALT), 6),
+        of(key(BASE_KEY, BASE_SALT + 1), 5),
+        of(key("000102030405060708090a0b0c0d0e1f", BASE_SALT), 5),
+        epochs.fingerprint(EpochSenderId(5)).expect("AES"),
+    ];
+    assert!(others.iter().all(|other| *other != five));
 }

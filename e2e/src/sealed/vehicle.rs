@@ -1,6 +1,6 @@
 //! The vehicle of a sealed link, as its autopilot, its radio and the stations see it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Context, Result, ensure};
 use mavlink_commsec::{Opener, SenderId, hx, radio};
@@ -15,9 +15,11 @@ use crate::{
     wire,
 };
 
-/// How far the firmware's marks are ahead at most: `relay/src/sealed.rs`.
-const SENT_RESERVATION: u32 = 256;
-const ACCEPTED_RESERVATION: u32 = 8;
+/// How far the firmware's marks are ahead at most: `relay/src/sealed/paced.rs`.
+const SENT_RESERVATION: u32 = 65_536;
+const ACCEPTED_RESERVATION: u32 = 16_384;
+/// How many counters behind the newest of its sender a package may come.
+pub(super) const REORDER_WINDOW: u32 = 64;
 /// CRC_EXTRA of VEHICLE_RADIO.
 const CRC_EXTRA: u8 = 238;
 
@@ -52,8 +54,10 @@ pub(super) struct Vehicle {
     pub(super) heard: usize,
     /// Packages that the vehicle must have accepted
     pub(super) accepted: Vec<Sealed>,
-    /// The last counter of each sender that it must have
+    /// The newest counter of each sender that it must have
     last: BTreeMap<u32, u32>,
+    /// Since the start, all of them
+    seen: BTreeSet<(u32, u32)>,
     /// Since the start, so many of each sender
     accepted_of: BTreeMap<u32, usize>,
     /// Since the start: packages from the vehicle, and packets that tell of its radio
@@ -86,6 +90,7 @@ impl Vehicle {
                 .iter()
                 .map(|station| (station.id, 0))
                 .collect(),
+            seen: BTreeSet::new(),
             accepted_of: BTreeMap::new(),
             packages: 0,
             radio_told: 0,
@@ -97,14 +102,19 @@ impl Vehicle {
 
     /// Whether the vehicle must accept a package that comes to it now.
     pub(super) fn accepts(&mut self, sealed: &Sealed) -> bool {
-        let last = self.last.entry(sealed.sender).or_default();
-        let newer = sealed.counter > *last;
-        if newer {
-            *last = sealed.counter;
-            *self.accepted_of.entry(sealed.sender).or_default() += 1;
+        let Sealed {
+            sender, counter, ..
+        } = *sealed;
+        let last = self.last.entry(sender).or_default();
+        let floor = self.above.get(&sender).copied().unwrap_or(0);
+        let late = counter > floor && counter.saturating_add(REORDER_WINDOW) >= *last;
+        let accepts = (counter > *last || late) && self.seen.insert((sender, counter));
+        if accepts {
+            *last = counter.max(*last);
+            *self.accepted_of.entry(sender).or_default() += 1;
             self.accepted.push(sealed.clone());
         }
-        newer
+        accepts
     }
 
     /// Where it goes on after a start: above all that it has used and accepted, and not far above.
@@ -233,6 +243,7 @@ impl Device for Vehicle {
     fn was_reset(&mut self) {
         self.next = None;
         self.above.clear();
+        self.seen.clear();
         self.accepted_of.clear();
         (self.packages, self.radio_told) = (0, 0);
         self.decoder = hx::Decoder::new();

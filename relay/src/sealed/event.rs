@@ -32,6 +32,10 @@ pub enum SealedRejectReason {
     /// A message to be sealed, and the cipher failed.
     #[strum(serialize = "cipher failed")]
     CipherFailed,
+    /// A message to be sealed, but the counters run too far ahead of the clock that they follow: too many packages, or
+    /// the clock was set back.
+    #[strum(serialize = "ahead of the clock")]
+    AheadOfClock,
     /// A message to be sealed or just opened, but no mark above its counter can be stored.
     #[strum(serialize = "not stored")]
     NotStored,
@@ -56,9 +60,18 @@ pub enum SealedRejectReason {
     /// A package with the counter that no sender uses.
     #[strum(serialize = "no counter")]
     NoCounter,
-    /// A package that is not newer than the last of its sender, or from before a restart.
+    /// A package that was opened before, is far behind the newest of its sender, or from before a restart.
     #[strum(serialize = "stale")]
     Stale,
+    /// A package of a peer that has passed over too many counters since the start.
+    #[strum(serialize = "jump too far")]
+    JumpTooFar,
+    /// A package that is too old by the clock.
+    #[strum(serialize = "too old")]
+    TooOld,
+    /// A package that is too new by the clock.
+    #[strum(serialize = "from the future")]
+    FromFuture,
     /// A package of a sender for whose key too many packages with a wrong tag have come.
     #[strum(serialize = "key worn out")]
     IntegrityLimitReached,
@@ -71,7 +84,7 @@ pub enum SealedRejectReason {
     /// Radio data that is no status.
     #[strum(serialize = "no status")]
     NoStatus,
-    /// A status that was not asked for.
+    /// A status that was not asked for, or came after the time for the next question.
     #[strum(serialize = "not asked")]
     NotAsked,
     /// What was to go out on a line that was closed: a frame to the radio, or what is left of a package's packets.
@@ -148,6 +161,9 @@ impl From<OpenError> for SealedRejectReason {
             OpenError::UnknownSender(_) => Self::UnknownSender,
             OpenError::NoCounter(_) => Self::NoCounter,
             OpenError::Stale { .. } => Self::Stale,
+            OpenError::JumpTooFar(_) => Self::JumpTooFar,
+            OpenError::TooOld(_) => Self::TooOld,
+            OpenError::FromFuture(_) => Self::FromFuture,
             OpenError::IntegrityLimitReached => Self::IntegrityLimitReached,
             OpenError::BadTag => Self::BadTag,
             _ => Self::Other,
@@ -175,8 +191,8 @@ pub enum SealedEvent {
     Packed,
     /// A package goes out, under this counter.
     Sealed(u32),
-    /// A package was opened, and its packets go on to the local side.
-    Opened(SenderId),
+    /// A package of this peer was opened, with this counter, and its packets go on to the local side.
+    Opened(SenderId, u32),
     /// The radio has answered.
     Radio(Status),
     /// Something goes no further.

@@ -22,7 +22,7 @@ use crate::{
 const PACKET: ([u8; 3], u8) = ([0x90, 0x01, 0], 110);
 /// Bytes of payload with which a packet fills a message.
 const FULL: usize = 80 - 12;
-/// More packages of one station than a page of flash holds marks for: 128, each 8 further.
+/// More packages of one station than a page of flash holds marks for: 64, each 8 further.
 const PACKAGES: usize = 1100;
 
 /// The vehicle, and what both sides have in mind.
@@ -66,7 +66,7 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
             play.up(0, &packet(1))?;
         }
         play.lines.machine.restart();
-        // A mark is up to 8 ahead of what was accepted.
+        // A mark is up to 8 ahead of what was accepted so slowly.
         for station in [0, 1].repeat(8) {
             let skipped = play.sealed(station, &packet(1))?;
             play.lines.pass(RADIO, &framed(&skipped))?;
@@ -122,8 +122,9 @@ impl Play {
         Ok(self.stations[station].seal(&message)?)
     }
 
-    /// A packet of a station, which comes out as it was.
+    /// A packet of a station, which comes out as it was. So slowly that a mark is stored for each eight.
     fn up(&mut self, station: usize, packet: &[u8]) -> Result<()> {
+        self.lines.passes(2);
         let package = framed(&self.sealed(station, packet)?);
         let came = self.lines.pass(RADIO, &package)?;
         ensure!(came == packet, "{came:02x?} came out for {packet:02x?}");

@@ -5,7 +5,8 @@
 
 use cortex_m_rt::entry;
 use mavlink_signing::{
-    KEY_SIZE, KeyChangeError, KeyRing, LinkClock, RolloverState, SigningKey, Stamper, TICKS_PER_SECOND, TimeSource, Timestamp,
+    KEY_SIZE, KeyChangeError, KeyRing, LinkClock, RolloverState, SigningKey, Stamper,
+    TICKS_PER_SECOND, TimeSource, Timestamp,
 };
 use mavseal_qemu_m7::{Board, Flash, PAGE_SIZE, Runs, WallClock, exit, info, log_rejected, warn};
 use mavseal_relay::{
@@ -18,8 +19,9 @@ use mavseal_store::Region;
 const LINK_OUT: u8 = 1;
 /// Silence after which the counters are logged: one second.
 const QUIET: u64 = TICKS_PER_SECOND;
-/// Silence after which a packet that has begun is given up: half a second.
-const IDLE: u64 = TICKS_PER_SECOND / 2;
+/// Bytes a second that the link side carries at least: the machine that emulates this one may pause for longer than a
+/// line does. The local side has no such bound, and is heard again after the [idle time](mavseal_relay::IDLE).
+const LINK_RATE: u32 = 100;
 /// How often the clock is told the time of day: well within what it believes a source for.
 const HOUR: u64 = 3600 * TICKS_PER_SECOND;
 /// The whole of a flash.
@@ -86,9 +88,10 @@ mod peer {
 
 #[entry]
 fn main() -> ! {
-    let Some(board) = Board::take() else {
+    let Some(mut board) = Board::take() else {
         exit(1);
     };
+    board.watchdog.feed();
     let Some(mut wall) = WallClock::synced(board.timer) else {
         warn!("The relay needs a clock, and nobody tells the time");
         exit(1);
@@ -101,22 +104,21 @@ fn main() -> ! {
     };
     let first_key = peer::first_key();
     // The timer of this board shows the time of day.
-    let memory =
-        LinkMemory::open(flash, FirstKey::Demonstration(&first_key), || wall.now().ticks());
-    let (keys, memory) = match memory {
-        Ok(memory) => memory,
+    let memory = LinkMemory::open(flash, FirstKey::Demonstration(&first_key), || {
+        wall.now().ticks()
+    });
+    let (keys, mut store, mut kept) = match memory {
+        Ok((keys, LinkMemory { store, clock })) => (keys, store, clock),
         Err(error) => {
             warn!("Keys and marks cannot be used: {}", error);
             let _ = error;
             exit(1);
         }
     };
-    let LinkMemory {
-        mut store,
-        clock: mut kept,
-    } = memory;
     if is_published(&keys, &first_key) {
-        warn!("THE KEY IN USE IS THE DEMONSTRATION'S, WHICH EVERYBODY KNOWS: for demonstrations alone");
+        warn!(
+            "THE KEY IN USE IS THE DEMONSTRATION'S, WHICH EVERYBODY KNOWS: for demonstrations alone"
+        );
     }
     if store.retired_key_remains() {
         warn!("A retired key can still be read from the flash: it is worn out");
@@ -132,15 +134,19 @@ fn main() -> ! {
         warn!("Both directions have the same link id");
         exit(1);
     };
-    // The machine that emulates this one may pause for longer than a line does.
-    let mut relay = relay.idle(IDLE).senders(Senders::System(SYSTEM));
+    let mut relay = relay.line_rate(LINK_RATE).senders(Senders::System(SYSTEM));
     relay.keep_setup(SYSTEM, COMPONENT);
+    let [mut local, mut link] = board.uarts;
+    let mut log = Log::default();
+    // What is on the line may have begun before the start: nothing is heard before the line was silent.
+    relay.line_event(Side::Local, LineEvent::Overrun, &mut kept, &mut |event| {
+        log.event(event);
+    });
     // The board has neither jumper nor button: whoever switches it on may give it a key, before anything else comes.
     relay.set_presence(Presence::AtStart);
-    let [mut local, mut link] = board.uarts;
 
-    let mut log = Log::default();
     loop {
+        board.watchdog.feed();
         let mut observe = |event| log.event(event);
         let polled = adapter::poll(&mut relay, &mut local, &mut link, &mut kept, &mut observe);
         for (side, polled) in [

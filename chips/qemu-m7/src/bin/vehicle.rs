@@ -9,15 +9,17 @@ use core::time::Duration;
 
 use cortex_m_rt::entry;
 use heapless::Vec;
+use mavlink_commsec::AesGcm;
 use mavlink_signing::{LinkClock, TICKS_PER_SECOND};
 use mavseal_qemu_m7::{
     Board, COUNTERS, Flash, PAGE_SIZE, Runs, Uptime, exit, info, log_rejected, warn,
 };
 use mavseal_relay::sealed::{
-    HighWaterMarks, Radio, SealedCounters, SealedEndpoint, SealedEvent, SealedRejectReason,
+    HighWaterMarks, MarksError, Place, Radio, SealedCounters, SealedEndpoint, SealedEvent,
+    SealedRejectReason,
 };
 use mavseal_relay::{Direction, Endpoint, LineEvent, Side, adapter};
-use mavseal_store::{HighWaterMark, Region};
+use mavseal_store::Region;
 
 /// The vehicle's key, and those of the stations.
 mod keys {
@@ -31,11 +33,10 @@ const _: () = assert!(STATIONS < COUNTERS, "a flash for every counter");
 
 /// How long a packet waits for others.
 const MAX_DELAY: Duration = Duration::from_millis(50);
-/// Silence that ends a packet: ten seconds. The serial ports of an emulator pause for as long as the machine
-/// that emulates is busy.
-const IDLE: u64 = 10 * TICKS_PER_SECOND;
 /// Time without news after which the counters are logged: 300 milliseconds.
 const QUIET: u64 = TICKS_PER_SECOND * 3 / 10;
+/// Erases of a page after which the flash is complained of, of the 10,000 that its data sheet allows.
+const WORN: u32 = 8_000;
 /// The system and component that tell of the radio: a vehicle's, and MAV_COMP_ID_TELEMETRY_RADIO.
 const RADIO: Radio = Radio::Vehicle {
     system_id: 1,
@@ -47,31 +48,49 @@ const REGION: Region = Region {
     page_size: PAGE_SIZE as u32,
 };
 
-/// The marks in the flashes, one for each counter.
-fn marks(flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
-    let [sent, accepted @ ..] = flashes;
+/// Where the marks lie: one flash for each counter.
+fn places<F>(flashes: [F; COUNTERS]) -> Option<(Place<F>, [Place<F>; STATIONS])> {
+    let [sent, accepted @ ..] = flashes.map(|flash| (flash, REGION));
     let accepted = accepted.into_iter().take(STATIONS);
-    let accepted = accepted.map_while(|flash| HighWaterMark::open(flash, REGION).ok());
-    Some(HighWaterMarks {
-        sent: HighWaterMark::open(sent, REGION).ok()?,
-        accepted: accepted.collect::<Vec<_, STATIONS>>().into_array().ok()?,
-    })
+    let accepted = accepted.collect::<Vec<_, STATIONS>>();
+    Some((sent, accepted.into_array().ok()?))
+}
+
+/// The marks in the flashes. Blank ones are provisioned: this board is a new one at each start of the emulator, with
+/// new keys. In the field that is a step of production, and no start does it.
+fn marks(mut flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
+    let (sent, accepted) = places(flashes.each_mut())?;
+    let opened = HighWaterMarks::open::<AesGcm>(&OWN, &PEERS, sent, accepted);
+    let is_new = opened.err() == Some(MarksError::NotProvisioned);
+    let (sent, accepted) = places(flashes)?;
+    let marks = if is_new {
+        HighWaterMarks::provision::<AesGcm>(&OWN, &PEERS, sent, accepted)
+    } else {
+        HighWaterMarks::open::<AesGcm>(&OWN, &PEERS, sent, accepted)
+    };
+    marks
+        .inspect_err(|error| {
+            warn!("{}", error);
+            let _ = error;
+        })
+        .ok()
 }
 
 #[entry]
 fn main() -> ! {
-    let Some(board) = Board::take() else {
+    let Some(mut board) = Board::take() else {
         exit(1);
     };
+    board.watchdog.feed();
     let Some(marks) = marks(board.counters) else {
         warn!("The marks cannot be used");
         exit(1);
     };
-    let Ok(end) = SealedEndpoint::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, MAX_DELAY) else {
+    let end = SealedEndpoint::<_, STATIONS>::new(&OWN, &PEERS, marks, RADIO, MAX_DELAY);
+    let Ok(mut end) = end else {
         warn!("The keys cannot be used");
         exit(1);
     };
-    let mut end = end.idle(IDLE);
     let [mut local, mut radio] = board.uarts;
     let mut uptime = Uptime::new(board.timer);
 
@@ -85,7 +104,10 @@ fn main() -> ! {
         let _ = (station, last);
     }
     let mut log = Log::default();
+    // What is on the line may have begun before the start: nothing is heard before the line was silent.
+    end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut |_| {});
     loop {
+        board.watchdog.feed();
         let now = uptime.monotonic();
         let mut observe = |event| log.event(event, now);
         let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
@@ -101,6 +123,9 @@ fn main() -> ! {
             end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
         }
         if log.is_quiet(now) {
+            if end.erases() > WORN {
+                warn!("The flash is wearing out: {} erases", end.erases());
+            }
             log.opened_of();
             log_counters("sealed", end.sealed());
             log_counters("opened", end.opened());
@@ -123,7 +148,7 @@ impl Log {
             SealedEvent::Rejected(direction, rejection) => {
                 log_rejected(self.rejected.push((direction, rejection)));
             }
-            SealedEvent::Opened(sender) => {
+            SealedEvent::Opened(sender, _) => {
                 let mut opened = PEERS.iter().zip(&mut self.opened);
                 if let Some((_, count)) = opened.find(|(peer, _)| peer.id == sender) {
                     *count = count.saturating_add(1);
