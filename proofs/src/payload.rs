@@ -207,7 +207,6 @@ pub fn one_look(decoder: &mut Decoder, first: u8, next: u8) -> Option<Result<usi
             assert!(told || lost_place.is_none());
             assert_eq!((left.0, lost), (0, held));
             deaf_until_silence(decoder, next);
-            assert!(decoder.read().is_none());
             decoder.idle();
             assert!(!decoder.is_deaf());
             assert_eq!(decoder.room(), MAX_FRAME_SIZE);
@@ -351,7 +350,9 @@ mod tests {
             let mut decoder = Decoder::new(Resync::Silence, dialect::crc_extra);
             assert_eq!(decoder.write(bytes), bytes.len());
             let first = bytes.first().copied().unwrap_or_default();
-            one_look(&mut decoder, first, right[0])
+            let found = one_look(&mut decoder, first, right[0]);
+            assert!(found.is_some_and(|it| it.is_ok()) || decoder.read().is_none());
+            found
         };
         assert_eq!(look(&[]), None);
         assert_eq!(look(&right), Some(Ok(right.len())));
@@ -380,7 +381,7 @@ mod verification {
     }
 
     #[kani::proof]
-    #[kani::unwind(4)]
+    #[kani::unwind(3)]
     #[kani::stub(mavlink_signing::crc::checksum, crate::model::any_checksum)]
     fn d1_one_look() {
         let (bytes, length): ([u8; MAX_FRAME_SIZE], usize) = kani::any();

@@ -109,8 +109,8 @@ mod tests {
     /// What comes in on the local side.
     #[derive(Clone, Copy, Debug)]
     enum Arrives {
-        /// A SETUP_SIGNING for a system; signed with a key and at a time, or not; damaged, or not.
-        Setup(u8, Option<(u8, u64)>, bool),
+        /// A SETUP_SIGNING for a system and component; signed with a key and at a time, or not; damaged, or not.
+        Setup([u8; 2], Option<(u8, u64)>, bool),
         /// Another packet, damaged or not.
         Other(bool),
         /// Nothing; somebody comes or goes.
@@ -192,10 +192,10 @@ mod tests {
                     assert!(self.relay.take_setup().is_none());
                     false
                 }
-                Arrives::Setup(target_system, signed, damaged) => {
+                Arrives::Setup([target_system, target_component], signed, damaged) => {
                     let setup = SetupSigning {
                         target_system,
-                        target_component: 1,
+                        target_component,
                         secret_key: [3; 32],
                         initial_timestamp: at(5),
                     };
@@ -238,7 +238,7 @@ mod tests {
     fn arrives() -> impl Strategy<Value = Arrives> {
         let signed = proptest::option::of((0..3_u8, 15..40_u64));
         let damaged = proptest::bool::weighted(0.1);
-        let setup = (1..3_u8, signed, damaged);
+        let setup = ([1..3_u8, 1..3_u8], signed, damaged);
         prop_oneof![
             6 => setup.prop_map(|(target, signed, damaged)| Arrives::Setup(target, signed, damaged)),
             1 => proptest::bool::weighted(0.3).prop_map(Arrives::Other),
@@ -261,8 +261,8 @@ mod tests {
 
     #[test]
     fn d2_who_may_give_a_key() {
-        let plain = Arrives::Setup(1, None, false);
-        let signed = |number, ticks| Arrives::Setup(1, Some((number, ticks)), false);
+        let plain = Arrives::Setup(END, None, false);
+        let signed = |number, ticks| Arrives::Setup(END, Some((number, ticks)), false);
         let kept = |presence, this| Device::new(presence).arrives(this);
         for presence in [Presence::Absent, Presence::AtStart, Presence::Shown] {
             assert_eq!(kept(presence, plain), presence != Presence::Absent);
@@ -273,21 +273,21 @@ mod tests {
             );
             assert!(!kept(presence, signed(0, FLOOR)), "with a former key");
             assert!(!kept(presence, signed(2, FLOOR)), "with another");
-            assert!(
-                !kept(presence, Arrives::Setup(2, None, false)),
-                "for another"
-            );
+            for other in [[2, 1], [1, 2]] {
+                let this = Arrives::Setup(other, None, false);
+                assert!(!kept(presence, this), "for another");
+            }
         }
     }
 
     #[test]
     fn d2_once() {
-        let signed = |ticks| Arrives::Setup(1, Some((1, ticks)), false);
+        let signed = |ticks| Arrives::Setup(END, Some((1, ticks)), false);
         let mut device = Device::new(Presence::Absent);
         let kept = [30, 30, 29, 31].map(|ticks| device.arrives(signed(ticks)));
         assert_eq!(kept, [true, false, false, true]);
         // One for somebody else counts too.
-        let other = Arrives::Setup(2, Some((1, 40)), false);
+        let other = Arrives::Setup([2, 1], Some((1, 40)), false);
         assert!(!device.arrives(other));
         assert!(!device.arrives(signed(40)));
     }
@@ -295,7 +295,7 @@ mod tests {
     /// Presence that was shown by switching on ends with the first packet that is no SETUP_SIGNING, whole or not.
     #[test]
     fn d2_at_start() {
-        let plain = Arrives::Setup(1, None, false);
+        let plain = Arrives::Setup(END, None, false);
         for damaged in [false, true] {
             let mut device = Device::new(Presence::AtStart);
             assert!(device.arrives(plain));
