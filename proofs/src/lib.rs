@@ -4,6 +4,7 @@
 //! kani`), a test edges and random values (`cargo test`). The third is a fuzz target. The table of
 //! `verification.md` gives each property its id, its bound and its assumptions.
 
+pub mod adversary;
 pub mod checksum;
 pub mod cipher;
 pub mod emit;

@@ -127,15 +127,23 @@ impl<F: NorFlash> Pages<F> {
 
     /// Half of all erases so far, rounded up.
     pub(crate) const fn erases(&self) -> u32 {
-        self.base.div_ceil(2 * self.slots)
+        match self.base.checked_div(self.slots) {
+            Some(erases) => erases.div_ceil(2),
+            // A page has places.
+            None => 0,
+        }
     }
 
     pub(crate) fn provision(&mut self, contents: &[u8]) -> Result<(), StoreError> {
         if self.used >= COPIES_FIRST {
             return self.replace(contents);
         }
+        let blank = self.used == 0;
         // No erase: a cut in one may leave a page of garbage, which would look like damage.
         self.append(contents)?;
+        if blank {
+            return Ok(());
+        }
         self.sweep(contents)
     }
 

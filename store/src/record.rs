@@ -64,9 +64,10 @@ fn checksum(binding: Binding, covered: &[u8]) -> u32 {
 #[cfg_attr(test, mutants::skip)]
 fn checksum(binding: Binding, covered: &[u8]) -> u32 {
     let key = u32::from_le_bytes(binding.key).rotate_left(13) ^ u32::from(binding.kind);
-    covered
+    let sum = covered
         .iter()
-        .fold(!key, |sum: u32, byte| sum.rotate_left(5) ^ u32::from(*byte))
+        .fold(!0, |sum: u32, byte| sum.rotate_left(5) ^ u32::from(*byte));
+    sum ^ key
 }
 
 pub(crate) fn copy(to: &mut [u8], from: &[u8]) {

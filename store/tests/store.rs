@@ -91,6 +91,45 @@ impl NorFlash for Worn {
     }
 }
 
+/// An erased flash of two pages with any sizes, in bytes: what is written, read and erased at once.
+struct Sizes<const WRITE: usize, const READ: usize, const ERASE: usize>;
+
+impl<const WRITE: usize, const READ: usize, const ERASE: usize> ErrorType
+    for Sizes<WRITE, READ, ERASE>
+{
+    type Error = Failure;
+}
+
+impl<const WRITE: usize, const READ: usize, const ERASE: usize> ReadNorFlash
+    for Sizes<WRITE, READ, ERASE>
+{
+    const READ_SIZE: usize = READ;
+
+    fn read(&mut self, _: u32, bytes: &mut [u8]) -> Result<(), Failure> {
+        bytes.fill(0xFF);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        2 * ERASE
+    }
+}
+
+impl<const WRITE: usize, const READ: usize, const ERASE: usize> NorFlash
+    for Sizes<WRITE, READ, ERASE>
+{
+    const WRITE_SIZE: usize = WRITE;
+    const ERASE_SIZE: usize = ERASE;
+
+    fn erase(&mut self, _: u32, _: u32) -> Result<(), Failure> {
+        Err(Failure::Erase)
+    }
+
+    fn write(&mut self, _: u32, _: &[u8]) -> Result<(), Failure> {
+        Err(Failure::Write)
+    }
+}
+
 fn numbered<const N: usize>(number: u32) -> [u8; N] {
     let mut contents = [0x5A; N];
     contents[..4].copy_from_slice(&number.to_le_bytes());
@@ -708,6 +747,29 @@ fn a_region_must_fit() {
     assert_eq!(odd.err(), Some(OpenError::RecordSize));
     let long = Journal::<_, 128>::open(Memory::default(), REGION, BINDING);
     assert_eq!(long.err(), Some(OpenError::RecordSize));
+}
+
+#[test]
+fn a_record_must_fit() {
+    fn open<F: NorFlash, const N: usize>(flash: F) -> Option<OpenError> {
+        let region = Region {
+            start: 0,
+            page_size: F::ERASE_SIZE as u32,
+        };
+        Journal::<F, N>::open(flash, region, BINDING).err()
+    }
+    let wrong = Some(OpenError::RecordSize);
+    // A page has four records at least.
+    assert_eq!(open::<_, 8>(Sizes::<8, 8, 64>), None);
+    assert_eq!(open::<_, 8>(Sizes::<8, 8, 48>), wrong);
+    // A record is whole words, to write and to read.
+    assert_eq!(open::<_, 8>(Sizes::<4, 16, 64>), None);
+    assert_eq!(open::<_, 8>(Sizes::<16, 1, 64>), None);
+    assert_eq!(open::<_, 8>(Sizes::<32, 1, 64>), wrong);
+    assert_eq!(open::<_, 8>(Sizes::<1, 32, 64>), wrong);
+    // And one of these words is whole ones of the other.
+    assert_eq!(open::<_, 16>(Sizes::<6, 4, 96>), wrong);
+    assert_eq!(open::<_, 16>(Sizes::<6, 3, 96>), None);
 }
 
 #[test]

@@ -81,8 +81,11 @@ const ALL: &str = r#"
 every wrong tag rejected in constant time
 cargo test --quiet --locked -p mavseal-chips-host every_wrong_tag -- --ignored --nocapture
 
-100,000 histories of a link
-cargo test --quiet --locked --release -p mavseal-relay --test simulation --test sealed_marks -- --ignored --nocapture
+100,000 histories of three devices and an adversary
+cargo test --quiet --locked --release -p mavseal-proofs --lib d_100_000 -- --ignored
+
+any two power cuts while the marks of a sealed link are provisioned
+cargo test --quiet --locked --release -p mavseal-relay --test sealed_marks -- --ignored
 
 mutants of the cores
 cargo mutants --version || cargo install --locked cargo-mutants

@@ -16,7 +16,7 @@ use mavlink_signing::{
 };
 use mavseal_relay::{IDLE, LineEvent, Side};
 
-use node::{Node, at, key_bytes, packet, signed};
+use node::{Node, Told, at, key_bytes, packet, signed};
 
 const SECOND: u64 = TICKS_PER_SECOND;
 const HOUR: u64 = 3_600 * SECOND;
@@ -90,6 +90,8 @@ pub enum Step {
     Off(u8),
     /// It is back, everywhere.
     On,
+    /// A GNSS receiver tells a node another time, again and again.
+    Spoof(u8, u64),
     /// A word of a node's flash can no longer be read.
     Spoil(u8, u16),
     /// The station offers a new key.
@@ -159,7 +161,12 @@ impl World {
     fn new(synced: u8, chance: u64) -> Self {
         let node = |id: usize| {
             let mixed = chance.wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ id as u64;
-            Node::new(id as u8 + 1, synced >> id & 1 == 1, mixed)
+            let told = match (synced >> id & 1, mixed >> 60) {
+                (1, _) => Told::Right,
+                (_, 0 | 1) => Told::Dead,
+                _ => Told::Nothing,
+            };
+            Node::new(id as u8 + 1, told, mixed)
         };
         Self {
             now: START,
@@ -202,13 +209,15 @@ impl World {
             }
             Step::Noise(node, bytes) => {
                 let [a, b, c, d] = bytes;
-                let announced = [[0xFD, a | 0x80, 0, b], [0xFE, a, b, c], bytes][usize::from(d) % 3];
+                let announced =
+                    [[0xFD, a | 0x80, 0, b], [0xFE, a, b, c], bytes][usize::from(d) % 3];
                 self.arrives(of(node), &announced);
             }
             Step::OldKey(node, system, days) => self.old_key(of(node), of(system), days),
             Step::CutAfter(node, steps) => self.nodes[of(node)].cut(Some(steps.into())),
             Step::Off(node) => self.nodes[of(node)].cut(None),
             Step::On => self.start_all(),
+            Step::Spoof(node, time) => self.nodes[of(node)].spoof(self.now, time),
             Step::Spoil(node, word) => self.nodes[of(node)].spoil(word),
             Step::Offer => self.offer(),
             Step::SetUp(node) => self.set_up(of(node)),
@@ -296,13 +305,7 @@ impl World {
     }
 
     /// Bytes on the local line of a node; what goes out on the link comes to the others, but for those in `lost`.
-    fn local(
-        &mut self,
-        node: usize,
-        pieces: &[(u64, &[u8])],
-        fault: Option<LineEvent>,
-        lost: u8,
-    ) {
+    fn local(&mut self, node: usize, pieces: &[(u64, &[u8])], fault: Option<LineEvent>, lost: u8) {
         let (link, local) = self.nodes[node].feed(self.now, Side::Local, pieces, fault);
         for frame in self.left(node, &link, &local) {
             for to in (0..NODES).filter(|to| *to != node && lost >> to & 1 == 0) {
@@ -313,8 +316,15 @@ impl World {
 
     /// Bytes on the link come to a node.
     fn arrives(&mut self, to: usize, bytes: &[u8]) {
+        let before = self.nodes[to].remembered();
         let (link, local) = self.nodes[to].feed(self.now, Side::Link, &[(0, bytes)], None);
         assert!(link.is_empty(), "what came in on the link went out on it");
+        let after = self.nodes[to].remembered();
+        let rejected = local.is_empty() && after.is_some();
+        assert!(
+            !rejected || before == after,
+            "a rejected frame changed something"
+        );
         self.left(to, &link, &local);
         self.nodes[to].confirm();
     }
@@ -339,7 +349,10 @@ impl World {
             let stamps = &mut self.nodes[node].stamps;
             let stamped = (number, stamp.timestamp.ticks());
             assert!(stamps.insert(stamped), "the stamp {stamped:?} twice");
-            assert!(self.sent[node].remove(&plain), "signed, and never sent, or twice");
+            assert!(
+                self.sent[node].remove(&plain),
+                "signed, and never sent, or twice"
+            );
             self.report.signed += 1;
             self.damaged[node] = false;
             self.signed.insert(plain);
@@ -356,7 +369,10 @@ impl World {
                 assert!(self.nodes[node].has_key(number) || !self.nodes[node].runs());
                 continue;
             }
-            assert!(self.signed.contains(&packet), "handed on, and never signed by anybody");
+            assert!(
+                self.signed.contains(&packet),
+                "handed on, and never signed by anybody"
+            );
             assert_ne!(packet[5], node as u8 + 1, "its own");
             self.report.handed_on += 1;
             self.deaf.remove(&(usize::from(packet[5]) - 1, node));
@@ -371,7 +387,11 @@ impl World {
         };
         self.led_away = true;
         self.serial += 1;
-        let frame = packet(system as u8 + 1, COMMAND, &[&self.serial.to_le_bytes()[..], &[8; 29]].concat());
+        let frame = packet(
+            system as u8 + 1,
+            COMMAND,
+            &[&self.serial.to_le_bytes()[..], &[8; 29]].concat(),
+        );
         let plain = frame.as_bytes().to_vec();
         let ticks = self.now + u64::from(days) * DAY / 64;
         let stamp = Stamp {
@@ -386,10 +406,15 @@ impl World {
     fn offer(&mut self) {
         let settled = |node: &Node| node.state() == Some(RolloverState::Settled);
         let numbers = self.nodes.each_ref().map(|node| node.number(self.latest));
-        let same = numbers.iter().all(|it| it.is_some() && *it == numbers[GROUND]);
+        let same = numbers
+            .iter()
+            .all(|it| it.is_some() && *it == numbers[GROUND]);
         if self.nodes.iter().all(settled) && same {
             let offered = self.nodes[GROUND].offer(self.now, self.latest + 1);
-            assert!(offered || !self.nodes[GROUND].runs(), "a new key was refused");
+            assert!(
+                offered || !self.nodes[GROUND].runs(),
+                "a new key was refused"
+            );
             // Where the power failed, it may be stored all the same.
             self.latest += 1;
         }
@@ -416,7 +441,10 @@ impl World {
     /// A node drops the old key when every other has the new one alone, or with it.
     fn retire(&mut self, node: usize) {
         let all = self.nodes.iter().all(|it| it.has_key(self.latest));
-        let signs = self.nodes.iter().all(|it| it.number(self.latest) == Some(self.latest));
+        let signs = self
+            .nodes
+            .iter()
+            .all(|it| it.number(self.latest) == Some(self.latest));
         if all && signs && self.nodes[node].state() == Some(RolloverState::Confirmed) {
             self.nodes[node].retire();
             self.report.retired += 1;
@@ -455,7 +483,11 @@ impl World {
     /// passed; what it stamps meanwhile, another that knows the time hears when it is no further ahead than the window.
     fn stated(&mut self) -> u64 {
         let (now, latest) = (self.now, self.latest);
-        let ahead = self.nodes.iter_mut().map(|node| node.ahead(now, latest)).max();
+        let ahead = self
+            .nodes
+            .iter_mut()
+            .map(|node| node.ahead(now, latest))
+            .max();
         let ahead = ahead.unwrap_or(0);
         SOON + ahead + ahead.saturating_sub(Window::ONE_MINUTE.ahead)
     }
@@ -486,7 +518,11 @@ impl World {
             if done {
                 return;
             }
-            assert!(self.now < by, "the change of key hangs\n{}", self.describe());
+            assert!(
+                self.now < by,
+                "the change of key hangs\n{}",
+                self.describe()
+            );
             for node in 0..NODES {
                 self.set_up(node);
             }
@@ -532,4 +568,120 @@ fn unsigned(frame: &[u8]) -> Vec<u8> {
     let sum = checksum(&packet[1..], crc_extra(id).expect("in the dialect"));
     packet.extend(sum.to_le_bytes());
     packet
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn node() -> impl Strategy<Value = u8> {
+        0..NODES as u8
+    }
+
+    fn edit() -> impl Strategy<Value = Edit> {
+        let magic = || prop_oneof![Just(0xFD), Just(0xFE), any::<u8>()];
+        prop_oneof![
+            2 => Just(Edit::None),
+            2 => (any::<u8>(), 0..40_u8).prop_map(|(at, count)| Edit::Lose(at, count)),
+            1 => (any::<u8>(), magic()).prop_map(|(at, byte)| Edit::Insert(at, byte)),
+            1 => (any::<u8>(), 1..=255_u8).prop_map(|(at, byte)| Edit::Change(at, byte)),
+            2 => (any::<u8>(), any::<u16>()).prop_map(|(at, millis)| Edit::Pause(at, millis)),
+        ]
+    }
+
+    fn step() -> impl Strategy<Value = Step> {
+        let nested = prop_oneof![
+            Just(Nested::Setup),
+            Just(Nested::Command),
+            Just(Nested::Beat)
+        ];
+        let tunnel = (node(), nested, edit(), any::<bool>());
+        prop_oneof![
+            8 => (node(), 0..8_u8).prop_map(|(node, lost)| Step::Beat(node, lost)),
+            5 => tunnel.prop_map(|(node, nested, edit, told)| Step::Tunnel(node, nested, edit, told)),
+            4 => (0..3000_u16).prop_map(Step::Wait),
+            1 => any::<u8>().prop_map(Step::Sleep),
+            4 => (node(), any::<u16>()).prop_map(|(node, back)| Step::Replay(node, back)),
+            2 => (node(), any::<[u8; 4]>()).prop_map(|(node, bytes)| Step::Noise(node, bytes)),
+            2 => (node(), node(), any::<u16>()).prop_map(|(to, of, days)| Step::OldKey(to, of, days)),
+            3 => (node(), 0..20_u8).prop_map(|(node, steps)| Step::CutAfter(node, steps)),
+            1 => node().prop_map(Step::Off),
+            3 => Just(Step::On),
+            1 => (node(), any::<u64>()).prop_map(|(node, time)| Step::Spoof(node, time)),
+            1 => (node(), any::<u16>()).prop_map(|(node, word)| Step::Spoil(node, word)),
+            3 => Just(Step::Offer),
+            4 => node().prop_map(Step::SetUp),
+            4 => node().prop_map(Step::Retire),
+        ]
+    }
+
+    fn histories(count: u32) {
+        let mut runner = proptest::test_runner::TestRunner::new(ProptestConfig::with_cases(count));
+        let steps = proptest::collection::vec(step(), 0..60);
+        let input = (steps, 0..8_u8, any::<u64>());
+        let ran = runner.run(&input, |(steps, synced, chance)| {
+            play(&steps, synced, chance);
+            Ok(())
+        });
+        if let Err(error) = ran {
+            panic!("{error}");
+        }
+    }
+
+    #[test]
+    fn d_histories() {
+        histories(300);
+    }
+
+    #[test]
+    #[ignore = "some minutes, optimised; `cargo xtask test --all` runs it"]
+    fn d_100_000_histories() {
+        histories(100_000);
+    }
+
+    /// Every kind of fault on the local line at every byte, alone, with each payload: nothing of it is obeyed or signed,
+    /// and the line comes back.
+    #[test]
+    fn d_each_fault() {
+        for at in 0..=255 {
+            for (edit, told) in [
+                (Edit::Lose(at, 0), false),
+                (Edit::Lose(at, 0), true),
+                (Edit::Lose(at, at % 40), true),
+                (Edit::Insert(at, 0xFE), false),
+                (Edit::Change(at, 0x80), false),
+                (Edit::Pause(at, 60_000), false),
+            ] {
+                let nested = [Nested::Setup, Nested::Command, Nested::Beat][usize::from(at) % 3];
+                let steps = [
+                    Step::Beat(1, 0),
+                    Step::Wait(200),
+                    Step::Tunnel(1, nested, edit, told),
+                    Step::Tunnel(1, nested, Edit::None, false),
+                ];
+                let report = play(&steps, 7, 0);
+                assert!(report.signed >= 4 && report.handed_on >= 4);
+            }
+        }
+    }
+
+    /// A change of key goes through, whoever knows the time, and although a former friend led everybody away.
+    #[test]
+    fn d_change() {
+        for synced in 0..8 {
+            let steps = [
+                Step::OldKey(1, 0, 64 * 200),
+                Step::Offer,
+                Step::OldKey(0, 1, 64 * 300),
+                Step::OldKey(1, 0, 64 * 300),
+                Step::SetUp(1),
+                Step::OldKey(2, 0, 64 * 364),
+                Step::OldKey(1, 2, 64 * 364),
+                Step::Sleep(9),
+            ];
+            let report = play(&steps, synced, 1);
+            assert!(report.retired >= 6, "both changes, at every end");
+        }
+    }
 }

@@ -12,6 +12,7 @@ use mavlink_signing::{
 };
 use mavseal_relay::{
     Endpoint, FirstKey, ForwardMode, LineEvent, LinkFlash, LinkMemory, Presence, Relay, Side,
+    TimeError,
 };
 use mavseal_store::Region;
 use mavseal_store::model::{Failure, Flash, PAGE_SIZE};
@@ -23,6 +24,7 @@ const REGION: Region = Region {
 };
 /// Pages of a node's flash: two for its keys, two for each mark.
 const PAGES: usize = 6;
+const YEAR: u64 = 365 * 24 * 3_600 * 100_000;
 /// How long somebody who brings a key waits until the line is silent: 200 milliseconds.
 pub(super) const QUIET: u64 = 20_000;
 /// The component that SETUP_SIGNING names.
@@ -113,11 +115,27 @@ impl NorFlash for Pages {
     }
 }
 
+/// What tells a node the time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Told {
+    /// Nothing.
+    Nothing,
+    /// A trusted clock.
+    Right,
+    /// A real-time clock without a battery: the time of two years ago.
+    Dead,
+}
+
+/// What a node remembers, as far as it shows it: words written to flash, clock and keys.
+pub(super) type Remembered = (u64, String);
+
 /// A vehicle or the station, with what it has done so far.
 pub(super) struct Node {
     pub(super) id: u8,
-    /// A trusted clock tells it the time, hourly and at each start.
-    pub(super) synced: bool,
+    /// What tells it the time, hourly and at each start.
+    pub(super) told: Told,
+    /// Its timer goes wrong by so many parts in a million.
+    drift: i64,
     flash: Rc<RefCell<Flash<PAGES>>>,
     spoiled: bool,
     started: u64,
@@ -136,10 +154,11 @@ struct Running {
 }
 
 impl Node {
-    pub(super) fn new(id: u8, synced: bool, chance: u64) -> Self {
+    pub(super) fn new(id: u8, told: Told, chance: u64) -> Self {
         Self {
             id,
-            synced,
+            told,
+            drift: (chance % 401) as i64 - 200,
             flash: Rc::new(RefCell::new(Flash::new(chance))),
             spoiled: false,
             started: 0,
@@ -221,15 +240,52 @@ impl Node {
 
     /// What runs, at this moment.
     fn at(&mut self, now: u64) -> Option<&mut Running> {
-        self.timer.set(now - self.started);
+        let elapsed = (now - self.started) as i64;
+        self.timer
+            .set((elapsed + elapsed / 1_000_000 * self.drift) as u64);
         let running = self.running.as_mut()?;
-        if self.synced && now - self.asked > 3_600 * 100_000 {
-            let told = running.memory.clock.update(TimeSource::Trusted, at(now));
-            // Where a former friend has led everybody ahead, a right clock is not believed; a new key ends that.
-            let _ = told;
+        if now - self.asked > 3_600 * 100_000 {
             self.asked = now;
+            let used = running
+                .memory
+                .clock
+                .floor(running.relay.keys().signing_slot());
+            let told = match self.told {
+                Told::Nothing => None,
+                Told::Right => Some(now),
+                // It is believed by a board that has never heard the time.
+                Told::Dead => Some(now - 2 * YEAR).filter(|_| used > at(now - YEAR)),
+            };
+            // Where a former friend has led everybody ahead, a right clock is not believed; a new key ends that.
+            let result =
+                told.map(|told| running.memory.clock.update(TimeSource::Trusted, at(told)));
+            let dead = self.told == Told::Dead && result.is_some();
+            assert!(!dead || result == Some(Err(TimeError::BehindMark)));
         }
         Some(running)
+    }
+
+    /// A GNSS receiver says whatever an attacker wants, again and again.
+    pub(super) fn spoof(&mut self, now: u64, time: u64) {
+        let Some(Running { memory, .. }) = self.at(now) else {
+            return;
+        };
+        let mut moved = 0;
+        for _ in 0..20 {
+            let before = memory.clock.now();
+            let told = memory
+                .clock
+                .update(TimeSource::Bounded, at(time % (1 << 48)));
+            moved += told.expect("never behind the mark");
+            assert!(memory.clock.now() >= before, "never back");
+        }
+        assert!(moved <= 100_000, "{moved} by spoofing");
+    }
+
+    pub(super) fn remembered(&self) -> Option<Remembered> {
+        let running = self.running.as_ref()?;
+        let shown = format!("{:?}{:?}", running.memory.clock, running.relay.keys());
+        Some((self.flash.borrow().writes(), shown))
     }
 
     /// Bytes come in on `side`, in the given pieces, at the times that are added. What goes out: on the link, and on the
@@ -282,7 +338,9 @@ impl Node {
     /// The number of the key that it signs with, at most `latest`; `None` while it is off.
     pub(super) fn number(&self, latest: u64) -> Option<u64> {
         let print = self.running.as_ref()?.relay.keys().signing().fingerprint();
-        let found = (0..=latest).rev().find(|it| key(*it).fingerprint() == print);
+        let found = (0..=latest)
+            .rev()
+            .find(|it| key(*it).fingerprint() == print);
         Some(found.expect("one of the keys that were given"))
     }
 
@@ -320,7 +378,11 @@ impl Node {
         let header = packet(255, 0, &[0]);
         let header = FrameRef::parse(header.as_bytes()).expect("whole").header();
         let frame = setup.to_frame(header).expect("in the dialect");
-        self.presence(if presence { Presence::Shown } else { Presence::Absent });
+        self.presence(if presence {
+            Presence::Shown
+        } else {
+            Presence::Absent
+        });
         let pieces: [(u64, &[u8]); 2] = [(QUIET, &[]), (0, frame.as_bytes())];
         let output = self.feed(now, Side::Local, &pieces, None);
         self.presence(Presence::Absent);
@@ -404,8 +466,12 @@ impl Node {
             return format!("{}: off", self.id);
         };
         format!(
-            "{}: synced {}, {:?}, {:?} {:?}",
-            self.id, self.synced, running.relay, running.memory.clock, running.relay.keys()
+            "{}: {:?}, {:?}, {:?} {:?}",
+            self.id,
+            self.told,
+            running.relay,
+            running.memory.clock,
+            running.relay.keys()
         )
     }
 }
