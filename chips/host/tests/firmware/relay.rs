@@ -181,7 +181,8 @@ impl Play {
         let old = std::mem::replace(&mut self.key, key);
         self.down(1, &[1; 255])?;
         self.up(1, &[1; 255])?;
-        self.lines.rejected(LOCAL, &setup(self.ticks, &[0x33; 32]))?;
+        self.lines
+            .rejected(LOCAL, &setup(self.ticks, &[0x33; 32]))?;
         self.down(1, &[1; 255])?;
         let again = setup(self.ticks, &key);
         let with = (self.tag, &self.key[..]);
