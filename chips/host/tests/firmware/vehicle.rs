@@ -60,6 +60,11 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
         opener,
         stations: stations.collect(),
     };
+    // The power fails in the first write of all.
+    let machine = &mut play.lines.machine;
+    machine.run_to(elf.find("mavseal_store::pages::Pages<F>::append")?.start)?;
+    machine.run_to_change(&elf.find("mavseal_qemu_m7::flash::MEMORY")?)?;
+    machine.restart();
     for marks in [MARKS, 1] {
         play.lines.rejected(LOCAL, &packet(1))?;
         play.lines.silence()?;

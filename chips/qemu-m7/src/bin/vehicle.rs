@@ -107,22 +107,29 @@ fn main() -> ! {
     }
     let mut log = Log::default();
     // What is on the line may have begun before the start: nothing is heard before the line was silent.
-    end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut |_| {});
+    end.line_event(
+        Side::Local,
+        LineEvent::Overrun,
+        &mut uptime,
+        &mut observer(&mut log, 0),
+    );
     loop {
         board.watchdog.feed();
         let now = uptime.monotonic();
-        let mut observe = |event| log.event(event, now);
-        let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
-        if let Err(error) = &polled.outbound {
-            warn!("autopilot to radio: {}", error);
-            let _ = error;
-            // Bytes are lost: what follows may lie within a payload.
-            end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut observe);
-        }
-        if let Err(error) = &polled.inbound {
-            warn!("radio to autopilot: {}", error);
-            let _ = error;
-            end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
+        {
+            let mut observe = observer(&mut log, now);
+            let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
+            if let Err(error) = &polled.outbound {
+                warn!("autopilot to radio: {}", error);
+                let _ = error;
+                // Bytes are lost: what follows may lie within a payload.
+                end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut observe);
+            }
+            if let Err(error) = &polled.inbound {
+                warn!("radio to autopilot: {}", error);
+                let _ = error;
+                end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
+            }
         }
         if log.is_quiet(now) {
             if end.erases() > WORN {
@@ -141,6 +148,11 @@ struct Log {
     rejected: Runs<(Direction, SealedRejectReason)>,
     opened: [u32; STATIONS],
     news: Option<u64>,
+}
+
+/// One type for all places: each other would have the end in the image once more.
+fn observer(log: &mut Log, now: u64) -> impl FnMut(SealedEvent) {
+    move |event| log.event(event, now)
 }
 
 impl Log {
