@@ -273,6 +273,7 @@ impl<T: FnMut() -> u64> Run<T> {
         let authentic = lasting.keys.authenticate(frame).expect("one of its keys");
         let used = authentic.key();
         assert_eq!(used.slot, slot);
+        assert_eq!(used.former, slot != lasting.keys.signing_slot());
         let (sync, floor) = (self.kept.sync(), self.kept.floor(slot));
         let lasts = |run: &Self| run.receivers.each_ref().map(ReplayGuard::last);
         let untouched = lasts(self);
