@@ -4,6 +4,7 @@
 //! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
 //! committed input, on any stable compiler.
 
+pub mod devices;
 pub mod ends;
 pub mod files;
 pub mod flash;
@@ -35,6 +36,7 @@ macro_rules! targets {
 }
 
 targets! {
+    devices: adversary;
     ends: sealed_end;
     files: key_file;
     flash: key_slots;

@@ -292,7 +292,10 @@ impl World {
             }
         }
         // A loss from the end of one packet to the beginning of another in a payload leaves no trace but the report.
-        let traceless = split_front(&line).iter().any(|it| self.nested.contains(it));
+        let whole = split_front(&line);
+        let traceless = whole.iter().any(|it| self.nested.contains(it));
+        // One damaged packet in 2^16 has a right checksum again: nobody can tell it from what was sent.
+        self.sent[node].extend(whole);
         let (before, after) = line.split_at(cut);
         let faulty = !matches!(edit, Edit::None | Edit::Pause(..)) && (reported || traceless);
         let fault = faulty.then_some(LineEvent::Overrun);
@@ -666,10 +669,35 @@ mod tests {
         }
     }
 
+    /// The power fails inside any write of the first start, and again: a device starts all the same.
     #[test]
-    fn d_tmp() {
-        use Step::*;
-        play(&[Offer,Off(0,),On,SetUp(1,),Beat(1,2,),Sleep(1,)], 2, 9719186755379560072);
+    fn d_cut_at_the_first_start() {
+        for chance in 0..4 {
+            for cut in 0..40 {
+                let mut node = Node::new(1, Told::Right, chance);
+                for again in 0..3 {
+                    node.cut(Some(cut >> again));
+                    node.try_start(START);
+                    node.mend();
+                }
+                node.start(START);
+                assert!(node.runs());
+            }
+        }
+    }
+
+    /// What a front of a packet announces holds up what comes behind it for less than a second.
+    #[test]
+    fn d_held_up() {
+        let mut world = World::new(7, 0);
+        world.start_all();
+        for _ in 0..3 {
+            let before = world.report.handed_on;
+            world.step(Step::Noise(0, [0xFF, 0, 0, 0]));
+            world.step(Step::Beat(1, 0));
+            world.wait(SECOND);
+            assert_eq!(world.report.handed_on, before + 2);
+        }
     }
 
     /// A change of key goes through, whoever knows the time, and although a former friend led everybody away.
