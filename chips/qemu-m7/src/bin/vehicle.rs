@@ -58,11 +58,11 @@ fn places<F>(flashes: [F; COUNTERS]) -> Option<(Place<F>, [Place<F>; STATIONS])>
 
 /// The marks in the flashes. Blank ones are provisioned: this board is a new one at each start of the emulator, with
 /// new keys. In the field that is a step of production, and no start does it.
-fn marks(mut flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
+fn marks(flashes: &mut [Flash; COUNTERS]) -> Option<HighWaterMarks<&mut Flash, STATIONS>> {
     let (sent, accepted) = places(flashes.each_mut())?;
     let opened = HighWaterMarks::open::<AesGcm>(&OWN, &PEERS, sent, accepted);
     let is_new = opened.err() == Some(MarksError::NotProvisioned);
-    let (sent, accepted) = places(flashes)?;
+    let (sent, accepted) = places(flashes.each_mut())?;
     let marks = if is_new {
         HighWaterMarks::provision::<AesGcm>(&OWN, &PEERS, sent, accepted)
     } else {
@@ -82,7 +82,8 @@ fn main() -> ! {
         exit(1);
     };
     board.watchdog.feed();
-    let Some(marks) = marks(board.counters) else {
+    let mut counters = board.counters;
+    let Some(marks) = marks(&mut counters) else {
         warn!("The marks cannot be used");
         exit(1);
     };
