@@ -1,7 +1,6 @@
 //! A ground station on this machine: its commands sealed, the vehicle's packages opened.
 
-use std::collections::BTreeSet;
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use anyhow::{Context, Result, bail, ensure};
 use mavlink::{
@@ -11,7 +10,7 @@ use mavlink::{
 use mavlink_commsec::{OpenError, Opener, Packer, Sealer, SealingKey, SenderId};
 use mavseal_keys::SenderKeys;
 
-use super::{air::Air, vehicle::REORDER_WINDOW};
+use super::air::Air;
 use crate::scenario::Row;
 
 /// A package, and the packets in it.
@@ -21,6 +20,36 @@ pub(super) struct Sealed {
     pub(super) counter: u32,
     pub(super) package: Vec<u8>,
     pub(super) packets: Vec<u8>,
+}
+
+/// How far behind the newest a package may be: `commsec/src/seen.rs`.
+const REORDERED: u32 = 64;
+
+/// What was opened of a sender since the start: each package once, those that others have overtaken too.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Heard {
+    /// Nothing up to this counter is opened.
+    pub(super) above: u32,
+    counters: BTreeSet<u32>,
+}
+
+impl Heard {
+    /// After a start.
+    pub(super) fn above(above: u32) -> Self {
+        let counters = BTreeSet::new();
+        Self { above, counters }
+    }
+
+    /// The last counter that is known.
+    pub(super) fn last(&self) -> u32 {
+        self.counters.last().map_or(self.above, |last| *last)
+    }
+
+    /// Whether a package with this counter must be opened now.
+    pub(super) fn opens(&mut self, counter: u32) -> bool {
+        let late = self.last().saturating_sub(counter) > REORDERED;
+        counter > self.above && !late && self.counters.insert(counter)
+    }
 }
 
 /// A key, prepared.
@@ -34,8 +63,7 @@ pub(super) struct Station {
     sealer: Sealer,
     packer: Packer,
     opener: Opener<1>,
-    /// The counters of all packages that it has opened
-    heard: BTreeSet<u32>,
+    heard: Heard,
     sequence: u8,
     /// The way from the vehicle, and the way to it
     down: Air,
@@ -52,7 +80,7 @@ impl Station {
             sealer: Sealer::new(key(own)?, SenderId(id)),
             packer: Packer::new(Duration::from_millis(50)),
             opener,
-            heard: BTreeSet::new(),
+            heard: Heard::default(),
             sequence: 0,
             down: Air::new(seed, 2 * u64::from(id)),
             up: Air::new(seed, 2 * u64::from(id) + 1),
@@ -110,11 +138,9 @@ impl Station {
         row.air = Some(air);
         for sealed in packages {
             let counter = sealed.counter;
-            let last = self.heard.last().copied().unwrap_or(0);
-            let fresh =
-                counter.saturating_add(REORDER_WINDOW) >= last && self.heard.insert(counter);
+            let opens = self.heard.opens(counter);
             match self.opener.open(&sealed.package) {
-                Ok(opened) if fresh => {
+                Ok(opened) if opens => {
                     let came: Vec<&[u8]> = opened.packets().filter_map(Result::ok).collect();
                     ensure!(
                         came.concat() == sealed.packets,
@@ -123,7 +149,7 @@ impl Station {
                     );
                     row.counts.passed += 1;
                 }
-                Err(OpenError::Stale { .. }) if !fresh => row.counts.rejected += 1,
+                Err(OpenError::Stale { .. }) if !opens => row.counts.rejected += 1,
                 other => bail!("{}: {counter:?}: {other:?}", row.name),
             }
         }

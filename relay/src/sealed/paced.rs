@@ -46,8 +46,9 @@ impl Pace {
     /// have gone by.
     fn next(self, ahead: u64, used: u64, ticks: u64) -> u64 {
         let expected = used.saturating_mul(self.period) / ticks.max(1);
-        let most = ahead.saturating_mul(2).clamp(self.least, self.most);
-        expected.clamp(self.least, most)
+        // Not `clamp`, which panics where the least is more than the most.
+        let most = ahead.saturating_mul(2).max(self.least).min(self.most);
+        expected.max(self.least).min(most)
     }
 }
 
