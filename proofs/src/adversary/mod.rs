@@ -292,7 +292,10 @@ impl World {
             }
         }
         // A loss from the end of one packet to the beginning of another in a payload leaves no trace but the report.
-        let traceless = split_front(&line).iter().any(|it| self.nested.contains(it));
+        let whole = split_front(&line);
+        let traceless = whole.iter().any(|it| self.nested.contains(it));
+        // One damaged packet in 2^16 has a right checksum again: nobody can tell it from what was sent.
+        self.sent[node].extend(whole);
         let (before, after) = line.split_at(cut);
         let faulty = !matches!(edit, Edit::None | Edit::Pause(..)) && (reported || traceless);
         let fault = faulty.then_some(LineEvent::Overrun);
@@ -316,10 +319,10 @@ impl World {
 
     /// Bytes on the link come to a node.
     fn arrives(&mut self, to: usize, bytes: &[u8]) {
-        let before = self.nodes[to].remembered();
+        let before = self.nodes[to].remembered(self.now);
         let (link, local) = self.nodes[to].feed(self.now, Side::Link, &[(0, bytes)], None);
         assert!(link.is_empty(), "what came in on the link went out on it");
-        let after = self.nodes[to].remembered();
+        let after = self.nodes[to].remembered(self.now);
         let rejected = local.is_empty() && after.is_some();
         assert!(
             !rejected || before == after,
@@ -508,7 +511,7 @@ impl World {
 
     /// A change of the key that has begun comes to its end.
     fn settle(&mut self) {
-        let by = self.now + 3 * SOON;
+        let by = self.now + 2 * SOON + self.stated();
         for round in 0.. {
             let done = self.nodes.iter().all(|node| {
                 let key = node.number(self.latest);

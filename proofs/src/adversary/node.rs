@@ -260,7 +260,11 @@ impl Node {
             let result =
                 told.map(|told| running.memory.clock.update(TimeSource::Trusted, at(told)));
             let dead = self.told == Told::Dead && result.is_some();
-            assert!(!dead || result == Some(Err(TimeError::BehindMark)));
+            assert!(
+                !dead || result == Some(Err(TimeError::BehindMark)),
+                "{result:?} {used:?} {}",
+                self.id
+            );
         }
         Some(running)
     }
@@ -282,8 +286,8 @@ impl Node {
         assert!(moved <= 100_000, "{moved} by spoofing");
     }
 
-    pub(super) fn remembered(&self) -> Option<Remembered> {
-        let running = self.running.as_ref()?;
+    pub(super) fn remembered(&mut self, now: u64) -> Option<Remembered> {
+        let running = self.at(now)?;
         let shown = format!("{:?}{:?}", running.memory.clock, running.relay.keys());
         Some((self.flash.borrow().writes(), shown))
     }
