@@ -669,6 +669,37 @@ mod tests {
         }
     }
 
+    /// The power fails inside any write of the first start, and again: a device starts all the same.
+    #[test]
+    fn d_cut_at_the_first_start() {
+        for chance in 0..4 {
+            for cut in 0..40 {
+                let mut node = Node::new(1, Told::Right, chance);
+                for again in 0..3 {
+                    node.cut(Some(cut >> again));
+                    node.try_start(START);
+                    node.mend();
+                }
+                node.start(START);
+                assert!(node.runs());
+            }
+        }
+    }
+
+    /// What a front of a packet announces holds up what comes behind it for less than a second.
+    #[test]
+    fn d_held_up() {
+        let mut world = World::new(7, 0);
+        world.start_all();
+        for _ in 0..3 {
+            let before = world.report.handed_on;
+            world.step(Step::Noise(0, [0xFF, 0, 0, 0]));
+            world.step(Step::Beat(1, 0));
+            world.wait(SECOND);
+            assert_eq!(world.report.handed_on, before + 2);
+        }
+    }
+
     /// A change of key goes through, whoever knows the time, and although a former friend led everybody away.
     #[test]
     fn d_change() {
