@@ -32,7 +32,7 @@ mod keys {
         let path = env::var_os(VARIABLE).ok_or_else(|| {
             format!(
                 "{VARIABLE} names no key file. `cargo xtask keys --stations 2 FILE` makes one; then \
-                 {VARIABLE}=FILE cargo build, with the whole path of FILE"
+                 {VARIABLE}=FILE cargo build --locked, with the whole path of FILE"
             )
         })?;
         let path = Path::new(&path);
