@@ -1,5 +1,6 @@
 //! The relay and its peer: telemetry to sign, the peer's frames to verify, attacks.
 
+mod nested;
 mod restart;
 
 use std::{
@@ -30,8 +31,12 @@ const TICKS_PER_SECOND: u64 = 100_000;
 /// How far the peer's clock is behind this machine's, so that it is never ahead of the firmware's: half a
 /// second.
 const BEHIND: u64 = TICKS_PER_SECOND / 2;
+/// The vehicle, in whose name the firmware signs.
+const SYSTEM: u8 = 1;
 /// Frames of each kind that must be rejected.
 const EACH: usize = 25;
+/// The same of those that make the local side deaf until it was silent.
+const FEW: usize = 3;
 /// Authentic frames from the peer, before the attacks and again after them.
 const FROM_PEER: usize = 200;
 
@@ -57,6 +62,10 @@ pub fn signer(elf: &Path, log: bool) -> Result<()> {
             "Into the local side: {count} frames of recorded telemetry, and what must not be signed"
         ))
         .step(Relay::telemetry),
+        Phase::new(
+            "Into the local side: payloads that hold packets, chosen by somebody who has no key",
+        )
+        .step(Relay::nested),
         Phase::new("Into the link side: the peer, and what it must not get through")
             .step(Relay::attacks),
     ];
@@ -67,8 +76,10 @@ pub fn signer(elf: &Path, log: bool) -> Result<()> {
 
 /// What the relay has been seen to do, and its peer.
 pub struct Relay {
-    /// Recorded telemetry
+    /// Recorded telemetry of the vehicle
     telemetry: Vec<Frame>,
+    /// What was recorded of the station
+    station: Vec<Frame>,
     /// Frames of it without a byte that looks like the beginning of another, so that a damaged one is
     /// rejected once and not again for what it seems to contain
     samples: Vec<Frame>,
@@ -94,12 +105,14 @@ impl Relay {
     pub fn new() -> Result<Self> {
         let key = Path::new(env!("CARGO_MANIFEST_DIR")).with_file_name("chips/demo/demo.key");
         let key = fs::read(&key).with_context(|| key.display().to_string())?;
-        let telemetry = wire::telemetry()?;
+        let recorded = wire::telemetry()?.into_iter();
+        let (telemetry, station): (Vec<_>, _) = recorded.partition(|frame| frame[5] == SYSTEM);
         let starts_nothing =
             |frame: &&Frame| !frame[1..].iter().any(|byte| [0xFD, 0xFE].contains(byte));
         let samples = telemetry.iter().filter(starts_nothing).cloned().collect();
         Ok(Self {
             telemetry,
+            station,
             samples,
             keys: vec![key],
             signed: Vec::new(),
@@ -145,13 +158,33 @@ impl Relay {
     /// Telemetry, and what must not be signed.
     fn telemetry(&mut self, sending: &mut Sending) -> Result<()> {
         let signed = self.each(|frame| wire::sign(frame, &self.keys[0], LINK_OUT, ticks_now()));
-        let unknown = self.each(|frame| changed(frame, |frame| frame[7..10].fill(0xF0)));
-        let damaged = self.each(|frame| changed(frame, damage));
+        let station = self.station.iter().cloned();
         sending.passes(Local, "recorded telemetry", same(&self.telemetry));
-        sending.rejected(Local, "damaged", "bad checksum", damaged);
-        sending.rejected(Local, "unknown message", "unknown message", unknown);
+        let name = "recorded of the station";
+        sending.rejected(Local, name, "foreign sender", station);
         sending.rejected(Local, "MAVLink 1", "MAVLink 1", mavlink1());
         sending.rejected(Local, "already signed", "already signed", signed);
+        let setup = nested::setup_signing(&nested::KEY);
+        sending.rejected(Local, "SETUP_SIGNING", "no presence", vec![setup; EACH]);
+        // What comes behind at once is not heard, whole as it is.
+        let unknown = |frame: &mut Frame| frame[7..10].fill(0xF0);
+        for (name, because, change) in [
+            (
+                "damaged, a whole one behind",
+                "bad checksum",
+                damage as fn(&mut Frame),
+            ),
+            ("unknown, a whole one behind", "unknown message", unknown),
+        ] {
+            let few = self.samples.iter().take(FEW);
+            let bytes = few.map(|frame| [changed(frame, change), frame.clone()].concat());
+            sending.unreadable(name, because, bytes);
+        }
+        sending.passes(
+            Local,
+            "recorded, after silence",
+            same(&self.samples[..EACH]),
+        );
         Ok(())
     }
 
@@ -199,7 +232,7 @@ impl Relay {
             "bad tag",
             forged(|frame| flip(frame, 12)),
         );
-        reject("another key", "bad tag", signed(&[0x5A; 32], LINK_IN, now));
+        reject("another key", "bad tag", signed(&nested::KEY, LINK_IN, now));
         reject(
             "stamped two minutes ahead",
             "from the future",

@@ -16,7 +16,7 @@ use comfy_table::{Cell, CellAlignment, Table, presets};
 use crate::{
     machine::Machine,
     scenario::{
-        Counts, Device, Phase, Row, Sending,
+        Counts, Device, Phase, Row, Sending, Sent,
         Side::{Link, Local},
     },
 };
@@ -132,6 +132,11 @@ impl Way {
         })
     }
 
+    /// Whether anything has not come yet.
+    fn is_open(&self) -> bool {
+        self.came.len() < self.due.len() || self.reasons.len() < self.reasons_due.len()
+    }
+
     /// What has not come yet.
     fn missing(&self, rows: &[Row]) -> Option<String> {
         let frame = self.ends.iter().find(|(end, _)| *end > self.came.len());
@@ -148,6 +153,8 @@ impl<D: Device> Stage<D> {
             self.lines
                 .push(line.context("the firmware does not start")?);
             if self.device.started(&self.lines[self.lines.len() - 1])? {
+                // It hears nothing on its local side before that was silent.
+                thread::sleep(MOMENT);
                 return Ok(());
             }
         }
@@ -162,19 +169,26 @@ impl<D: Device> Stage<D> {
         for step in phase.steps {
             let mut sending = Sending::default();
             step(&mut self.device, &mut sending)?;
-            self.send(sending);
+            let first = self.seen.rows.len();
+            self.seen.rows.extend(sending.rows);
+            self.seen.lines_due.extend(sending.lines);
+            for sent in sending.frames {
+                let alone = sent.alone;
+                self.send(first, sent);
+                if alone {
+                    // The firmware tells its counters when the lines were silent.
+                    self.until(|stage| stage.missing(&stage.counters()).is_none())?;
+                }
+            }
             self.until(|stage| {
                 let mut ways = stage.seen.ways.iter();
-                ways.all(|way| way.came.len() >= way.due.len()) && stage.missing(&[]).is_none()
+                let came = ways.all(|way| way.came.len() >= way.due.len());
+                came && stage.missing(&[]).is_none() && stage.device.is_ready()
             })?;
         }
         let is_used = |way: &Way| !way.ends.is_empty() || !way.reasons_due.is_empty();
         if self.seen.ways.iter().any(is_used) {
-            self.until(|stage| {
-                stage
-                    .missing(&stage.device.counters(stage.counts))
-                    .is_none()
-            })?;
+            self.until(|stage| stage.missing(&stage.counters()).is_none())?;
         }
         println!("{}", table(&self.seen.rows, D::PASSED).trim_fmt());
         println!("{:.1} s", begun.elapsed().as_secs_f32());
@@ -201,26 +215,27 @@ impl<D: Device> Stage<D> {
         self.until(|_| begun.elapsed() > MOMENT)
     }
 
-    fn send(&mut self, sending: Sending) {
-        let first = self.seen.rows.len();
-        self.seen.rows.extend(sending.rows);
-        self.seen.lines_due.extend(sending.lines);
-        for (into, row, bytes, verdict) in sending.frames {
-            let into = into as usize;
-            self.ports[into].1.extend(bytes);
-            let (way, counts) = (&mut self.seen.ways[into], &mut self.counts[into]);
-            match verdict {
-                Ok(out) => {
-                    way.due.extend(out);
-                    way.ends.push((way.due.len(), first + row));
-                    counts.passed += 1;
-                }
-                Err(because) => {
-                    way.reasons_due.push((because, first + row));
-                    counts.rejected += 1;
-                }
+    /// Sends a frame, whose row is one of those from `first` on.
+    fn send(&mut self, first: usize, sent: Sent) {
+        let (into, row) = (sent.into as usize, first + sent.row);
+        self.ports[into].1.extend(sent.bytes);
+        let (way, counts) = (&mut self.seen.ways[into], &mut self.counts[into]);
+        match sent.verdict {
+            Ok(out) => {
+                way.due.extend(out);
+                way.ends.push((way.due.len(), row));
+                counts.passed += 1;
+            }
+            Err(because) => {
+                way.reasons_due.push((because, row));
+                counts.rejected += 1;
             }
         }
+    }
+
+    /// How the lines begin with which the firmware counts what it was sent.
+    fn counters(&self) -> Vec<String> {
+        self.device.counters(self.counts)
     }
 
     /// Goes on until everything was written and `done`.
@@ -246,8 +261,11 @@ impl<D: Device> Stage<D> {
             if last.0.elapsed() > PATIENCE {
                 ensure!(unsent == [0; 2], "the firmware takes no more bytes");
                 let missing = ways.iter().find_map(|way| way.missing(rows));
-                let counters = self.device.counters(self.counts);
-                bail!(missing.or(self.missing(&counters)).unwrap_or_default());
+                bail!(
+                    missing
+                        .or(self.missing(&self.counters()))
+                        .unwrap_or_default()
+                );
             }
             thread::sleep(POLL);
         }
@@ -266,9 +284,16 @@ impl<D: Device> Stage<D> {
             let mut buffer = [0; 4096];
             while let Some(length) = unless_blocked(stream.read(&mut buffer))? {
                 ensure!(length > 0, "the emulator has ended");
+                // An answer would come late behind what the firmware has not looked at yet.
+                let busy = !outbox.is_empty() || self.seen.ways[side as usize].is_open();
                 // It belongs to what was sent into the other side.
                 let came = &mut self.seen.ways[1 - side as usize].came;
-                self.device.open(side, &buffer[..length], came, outbox)?;
+                let mut reply = Vec::new();
+                self.device
+                    .open(side, &buffer[..length], came, &mut reply)?;
+                if !busy {
+                    outbox.extend(reply);
+                }
             }
         }
         while let Ok(line) = self.log.try_recv() {

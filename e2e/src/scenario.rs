@@ -24,7 +24,7 @@ pub trait Device {
     fn started(&mut self, line: &str) -> Result<bool>;
 
     /// Takes bytes that came out of `side`. What they say, without signature or seal, is added to `out`, and an
-    /// answer to `reply`.
+    /// answer to `reply`. It is sent if the firmware has nothing else of this side to look at.
     ///
     /// # Errors
     ///
@@ -36,6 +36,11 @@ pub trait Device {
         out: &mut Vec<u8>,
         reply: &mut Vec<u8>,
     ) -> Result<()>;
+
+    /// Whether the next step may be taken.
+    fn is_ready(&self) -> bool {
+        true
+    }
 
     /// How the lines begin that the log has when all is done, with what has become of the frames since the
     /// start, by the side that they were sent into.
@@ -96,11 +101,22 @@ impl Row {
 /// What must become of a frame: these bytes come out on the other side, or it is rejected with this reason.
 pub type Verdict = Result<Vec<u8>, &'static str>;
 
+/// A frame, or bytes that are sent together.
+#[derive(Debug)]
+pub(crate) struct Sent {
+    pub(crate) into: Side,
+    pub(crate) row: usize,
+    pub(crate) bytes: Vec<u8>,
+    pub(crate) verdict: Verdict,
+    /// Nothing follows before the firmware has counted it, and the lines were silent.
+    pub(crate) alone: bool,
+}
+
 /// What a step sends, and what it has found out.
 #[derive(Debug, Default)]
 pub struct Sending {
     pub(crate) rows: Vec<Row>,
-    pub(crate) frames: Vec<(Side, usize, Vec<u8>, Verdict)>,
+    pub(crate) frames: Vec<Sent>,
     pub(crate) lines: Vec<&'static str>,
 }
 
@@ -125,7 +141,13 @@ impl Sending {
                 row_of.because = because;
             }
         }
-        self.frames.push((into, row, bytes, verdict));
+        self.frames.push(Sent {
+            into,
+            row,
+            bytes,
+            verdict,
+            alone: false,
+        });
     }
 
     /// Adds a row of frames that must pass, each with what must come out.
@@ -144,6 +166,19 @@ impl Sending {
     {
         let frames = frames.into_iter().map(|bytes| (bytes, Err(because)));
         self.frames(into, name, frames);
+    }
+
+    /// Adds a row of bytes that must be rejected as one, each in a silence: what the firmware cannot read as packets
+    /// makes its local side deaf until there is one.
+    pub fn unreadable<F>(&mut self, name: &str, because: &'static str, bytes: F)
+    where
+        F: IntoIterator<Item = Vec<u8>>,
+    {
+        let first = self.frames.len();
+        self.rejected(Side::Local, name, because, bytes);
+        for sent in &mut self.frames[first..] {
+            sent.alone = true;
+        }
     }
 
     fn frames(&mut self, into: Side, name: &str, frames: impl Iterator<Item = (Vec<u8>, Verdict)>) {

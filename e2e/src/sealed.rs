@@ -72,7 +72,10 @@ fn play(elf: &Path, vehicle: Vehicle, log: bool) -> Result<()> {
         Phase::new("Telemetry for both stations, and their commands, through the air")
             .step(telemetry_and_commands(before))
             .step(Vehicle::stations_listen),
-        Phase::new("Attacks on the vehicle").step(Vehicle::attacks),
+        Phase::new("Attacks on the vehicle")
+            .step(Vehicle::attacks)
+            .step(Vehicle::radio_answers)
+            .step(Vehicle::radio_attacks),
         Phase::new("Attacks on a station").step(Vehicle::attacks_on_station),
         Phase::new("After a reset: what was accepted before")
             .reset()
@@ -173,13 +176,19 @@ impl Vehicle {
         let too_long = [&[hx::FLAG, 0], &[1; 101][..], &[hx::FLAG]].concat();
         let empty = vec![hx::FLAG, 0, hx::FLAG];
         let unknown = vec![hx::FLAG, 7, 1, hx::FLAG];
-        let status = frame_of(hx::FrameKind::Radio, &STATUS.to_wire())?;
         let mut reject =
             |name, because, frame| sending.rejected(Link, name, because, vec![frame; EACH]);
         reject("empty frames", "empty frame", empty);
         reject("frames of an unknown kind", "unknown tag", unknown);
         reject("frames that are too long", "frame too long", too_long);
-        reject("radio status, not asked for", "not asked", status);
+        Ok(())
+    }
+
+    /// What everybody on its radio's line can send.
+    fn radio_attacks(&mut self, sending: &mut Sending) -> Result<()> {
+        let status = frame_of(hx::FrameKind::Radio, &STATUS.to_wire())?;
+        let name = "radio status, not asked for";
+        sending.rejected(Link, name, "not asked", vec![status; EACH]);
         Ok(())
     }
 

@@ -4,6 +4,7 @@
 //! [`repair`]. `fuzz_targets/` gives each function to libFuzzer; `tests/corpus.rs` gives it every
 //! committed input, on any stable compiler.
 
+pub mod devices;
 pub mod ends;
 pub mod files;
 pub mod flash;
@@ -35,6 +36,7 @@ macro_rules! targets {
 }
 
 targets! {
+    devices: adversary;
     ends: sealed_end;
     files: key_file;
     flash: key_slots;
@@ -44,7 +46,7 @@ targets! {
     sealed: diff_gcm hx_decoder open_package pack_packets seal_open sealed_link;
     senders: streams_model;
     standard: diff_standard;
-    streams: decoder_chunks relay replay_model;
+    streams: decoder_chunks relay replay_model trusted_line;
     time: kept_link;
     unsigned: setup_signing unsigned_policy;
     values: checksum_table diff_hmac stamps;

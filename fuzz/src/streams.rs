@@ -3,13 +3,14 @@
 use arbitrary::Arbitrary;
 use mavlink_signing::dialect::crc_extra;
 use mavlink_signing::field::TIMESTAMP_SIZE;
-use mavlink_signing::{Decoder, Hmac, Resync, SigningKey, Timestamp};
+use mavlink_signing::{Decoder, Frame, Hmac, Resync, SigningKey, Timestamp};
 use mavseal_proofs::history::{Step, history};
-use mavseal_proofs::packet;
+use mavseal_proofs::payload::{Arrival, Damage};
 use mavseal_proofs::pipes::{Turn, pipes};
+use mavseal_proofs::{packet, payload};
 use mavseal_relay::{ForwardMode, Senders};
 
-use crate::input::Moment;
+use crate::input::{Head, Moment};
 use crate::repair::{self, KEY, Parts, SECRET};
 
 /// A stream of packets and what is between them.
@@ -45,6 +46,47 @@ pub fn decoder_chunks(input: Stream<'_>) {
         packet::takes(&mut decoder, byte);
         while packet::gives(&mut decoder, crc_extra).is_some() {}
     }
+}
+
+/// Packets on a line that is trusted, and what happens to it once.
+#[derive(Arbitrary, Clone, Debug)]
+pub struct Trusted<'a> {
+    /// How they come in.
+    pub arrival: Arrival,
+    /// Where bytes are lost, and how many.
+    pub lost: (u16, u8),
+    /// What comes in their place, and how much of it, modulo 8; from 5 on, nothing happens at all.
+    pub inserted: ([u8; 4], u8),
+    /// Whether the line tells.
+    pub reported: bool,
+    /// Bytes of each payload.
+    pub lengths: [u8; 4],
+    /// The payloads: packets that are made right, and what is between them.
+    pub bytes: &'a [u8],
+}
+
+/// Packets full of packets, with loss, noise and damage in one place, told or not: none that lies inside of another
+/// comes out (D1).
+pub fn trusted_line(input: Trusted<'_>) {
+    let mut rest = input.bytes;
+    let packets = input.lengths.map(|length| {
+        let (payload, behind) = rest.split_at(rest.len().min(length.into()));
+        rest = behind;
+        let mut payload = payload.to_vec();
+        repair::stream(&mut payload, 0, |_, _| {});
+        let frame = Frame::new(Head::default().into(), &payload).expect("short enough");
+        frame.as_bytes().to_vec()
+    });
+    let (bytes, count) = input.inserted;
+    let (at, lost) = input.lost;
+    let damage = Damage {
+        at,
+        lost,
+        inserted: bytes[..usize::from(count % 8).min(4)].to_vec(),
+        reported: input.reported,
+    };
+    let damage = (count % 8 < 5).then_some(&damage);
+    let _ = payload::never_a_packet(&packets, &input.arrival, damage);
 }
 
 /// What happens on a link.

@@ -307,6 +307,15 @@ impl<P: Profile> KeyRing<P> {
         }
     }
 
+    /// Where the key is that was given last.
+    #[must_use]
+    pub const fn newest_slot(&self) -> KeySlot {
+        match self.phase {
+            RolloverState::Settled => self.base,
+            _ => self.base.other(),
+        }
+    }
+
     /// The key in `slot`, if there is one.
     #[must_use]
     pub fn key(&self, slot: KeySlot) -> Option<&SigningKey<P>> {
@@ -325,6 +334,12 @@ impl<P: Profile> KeyRing<P> {
     pub fn slot_for(&self, key: &SigningKey<P>) -> Option<KeySlot> {
         let begins = self.phase == RolloverState::Settled && !same(key, &self.old);
         begins.then_some(self.base.other())
+    }
+
+    /// Whether there is a new key, and the other end was not heard with it yet.
+    #[must_use]
+    pub const fn is_unheard(&self) -> bool {
+        matches!(self.phase, RolloverState::Offered | RolloverState::Applied) && !self.heard
     }
 
     /// Whether `key` is the one that was given last.

@@ -62,9 +62,10 @@ pub trait LinkClock {
         Ok(initial)
     }
 
-    /// The newest key came again, with `initial` as the time: a clock that nobody has told the time shows it at least.
-    fn repeat_key(&mut self, initial: Timestamp) {
-        let _ = initial;
+    /// The newest key came again, with `initial` as the time. If nobody was `heard` with it yet, it begins anew there;
+    /// otherwise a clock that nobody has told the time shows it at least.
+    fn repeat_key(&mut self, initial: Timestamp, heard: bool) {
+        let _ = (initial, heard);
     }
 
     /// Learns from a frame that was accepted.

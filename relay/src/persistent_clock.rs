@@ -129,7 +129,7 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         };
         let [a, b] = flashes;
         let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
-        Ok(Self::with(marks, region, keys.signing_slot(), timer))
+        Ok(Self::with(marks, region, keys.newest_slot(), timer))
     }
 
     /// The same for a first key, with which nothing was ever signed or accepted: whatever `flashes` hold is forgotten.
@@ -155,7 +155,7 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         };
         let [a, b] = flashes;
         let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
-        Ok(Self::with(marks, region, keys.signing_slot(), timer))
+        Ok(Self::with(marks, region, keys.newest_slot(), timer))
     }
 
     fn with(marks: [KeyMark<F>; 2], region: Region, newest: KeySlot, mut timer: T) -> Self {
@@ -299,9 +299,13 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         Ok(first)
     }
 
-    fn repeat_key(&mut self, initial: Timestamp) {
+    fn repeat_key(&mut self, initial: Timestamp, heard: bool) {
         let timer = (self.timer)();
-        self.clock.raise(initial, timer);
+        if heard {
+            self.clock.raise(initial, timer);
+        } else {
+            self.clock.begin(initial, timer);
+        }
     }
 
     fn on_accepted(&mut self, frame: &Verified<'_>) {

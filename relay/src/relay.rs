@@ -147,7 +147,8 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
 
     /// Takes over the key of `setup`: [`KeyRing::apply`]. A new key has its own order of stamps, which begins with the
     /// `initial_timestamp`, if that may be right. A clock that nobody has told the time begins there too; with the newest
-    /// key once more, it shows it at least. A synced clock is not touched.
+    /// key once more, it shows it at least, and begins there as long as the other end was not heard with it. A synced
+    /// clock is not touched.
     ///
     /// # Errors
     ///
@@ -192,7 +193,7 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
             self.outbound.handler.begin_key(slot, first);
             self.inbound.handler.begin_key(slot, first);
         } else if self.keys.is_newest(&key) {
-            clock.repeat_key(initial);
+            clock.repeat_key(initial, !self.keys.is_unheard());
         }
         Ok(())
     }

@@ -141,9 +141,12 @@ impl<F: NorFlash, const N: usize, C: Cipher> SealedEndpoint<F, N, C> {
     /// The clock must be one that can be trusted, and know the time before the first call. A sender whose clock was
     /// ahead is silent until that time has come, over restarts too.
     #[must_use]
-    pub const fn clocked(mut self, origin: Timestamp) -> Self {
+    pub fn clocked(mut self, origin: Timestamp) -> Self {
         self.origin = Some(origin);
         self.outward.mark.pace = Pace::SENT_WITH_CLOCK;
+        for mark in &mut self.inward.marks {
+            mark.pace = Pace::ACCEPTED_WITH_CLOCK;
+        }
         self
     }
 

@@ -130,16 +130,16 @@ fn cut(chance: u64, cuts: &[u32]) {
 
 #[test]
 fn a_cut_at_any_write_of_provisioning_leaves_a_board_that_starts() {
-    for chance in 0..16 {
+    for chance in 0..6 {
         for steps in 0..40 {
             cut(chance, &[steps]);
         }
     }
 }
 
-#[test]
-fn two_cuts_leave_a_board_that_starts() {
-    for first in (0..40).step_by(2) {
+/// Two cuts, each before or in any write.
+fn two_cuts(firsts: impl Iterator<Item = u32>) {
+    for first in firsts {
         for second in 0..40 {
             cut(u64::from(first * 40 + second), &[first, second]);
         }
@@ -147,8 +147,19 @@ fn two_cuts_leave_a_board_that_starts() {
 }
 
 #[test]
+fn two_cuts_leave_a_board_that_starts() {
+    two_cuts((0..40).step_by(7));
+}
+
+#[test]
+#[ignore = "half a minute, optimised; `cargo xtask test --all` runs it"]
+fn any_two_cuts_leave_a_board_that_starts() {
+    two_cuts(0..40);
+}
+
+#[test]
 fn three_cuts_leave_a_board_that_starts() {
-    for chance in 0..500 {
+    for chance in 0..200 {
         let [a, b, c, ..] = 0x9E37_79B9_7F4A_7C15_u64.wrapping_mul(chance).to_le_bytes();
         cut(chance, &[a, b, c].map(|steps| u32::from(steps % 40)));
     }

@@ -99,6 +99,9 @@ cargo test --quiet --locked -p mavseal-chips-host every_wrong_tag -- --ignored -
 100,000 histories of three devices and an adversary
 cargo test --quiet --locked --release -p mavseal-proofs --lib d_100_000 -- --ignored
 
+any two power cuts while the marks of a sealed link are provisioned
+cargo test --quiet --locked --release -p mavseal-relay --test sealed_marks -- --ignored
+
 mutants of the cores
 cargo mutants --version || cargo install --locked cargo-mutants@27.1.0
 mkdir -p $RESULTS/cores $RESULTS/tables

@@ -8,7 +8,7 @@ use volatile_register::RW;
 
 use crate::uart::CLOCK_HZ;
 
-/// Takes every exception, `HardFault` too (`device.x`): this firmware enables none that is not a fault.
+/// Takes every exception: this firmware enables none that is not a fault.
 ///
 /// Asks for a reset (Armv7-M ARM, B3.2.6, AIRCR) without a stack: that may be what is at fault.
 // SAFETY: the name is the one that cortex-m-rt's linker script looks for; it ends with the reset.
@@ -22,6 +22,14 @@ unsafe extern "C" fn DefaultHandler() -> ! {
         "dsb",
         "1: b 1b",
     )
+}
+
+/// The one exception that has a handler of its own.
+// SAFETY: as above.
+#[unsafe(naked)]
+#[unsafe(no_mangle)]
+unsafe extern "C" fn HardFault() -> ! {
+    naked_asm!("b {}", sym DefaultHandler)
 }
 
 /// Bytes below the stack that nobody may touch. The whole stack of each program is smaller (`chips/host` measures it),

@@ -8,7 +8,11 @@ use std::{
 
 use anyhow::{Context, Result, ensure};
 
-use super::{BEHIND, EACH, LINK_IN, Relay, TICKS_PER_SECOND, same, ticks_in, ticks_now};
+use super::{
+    BEHIND, EACH, LINK_IN, Relay, TICKS_PER_SECOND,
+    nested::{KEY, setup_signing},
+    same, ticks_in, ticks_now,
+};
 use crate::{
     run,
     scenario::{
@@ -17,13 +21,6 @@ use crate::{
     },
     wire::{self, Frame},
 };
-
-/// The system and component that take a key: `chips/qemu-m7/src/bin/relay.rs`.
-const SYSTEM: u8 = 1;
-const COMPONENT: u8 = 25;
-/// SETUP_SIGNING: its payload is 8 bytes of time, two of targets, and the key.
-const SETUP_SIGNING: u32 = 256;
-const SETUP_SIZE: u8 = 42;
 
 /// How many seconds a stamp may be behind.
 const WINDOW: u64 = 60;
@@ -54,9 +51,9 @@ pub fn restart(elf: &Path, log: bool) -> Result<()> {
             .reset()
             .step(Relay::rejects_old)
             .step(peer("with the old key", &old))
+            .step(setup(&new, false))
             .step(Relay::signs)
-            .step(setup(&new))
-            .step(Relay::signs)
+            .step(not_present)
             .step(peer("with the old key", &old)),
         Phase::new("Run 3, after a reset: the peer takes the new key")
             .reset()
@@ -73,7 +70,8 @@ pub fn restart(elf: &Path, log: bool) -> Result<()> {
             .step(Relay::rejects_old)
             .step(peer("with the new key", &new))
             .step(peer("with the old key", &old))
-            .step(setup(&new))
+            .step(Relay::signs)
+            .step(setup(&new, true))
             .step(Relay::signs)
             .step(peer("with the old key", &old))
             .step(peer("with the new key", &new)),
@@ -154,18 +152,18 @@ fn peer(
     }
 }
 
-/// SETUP_SIGNING on the local port; it goes no further. The key in use once more has the one before retire.
-fn setup(key: &[u8]) -> impl FnOnce(&mut Relay, &mut Sending) -> Result<()> + use<> {
+/// SETUP_SIGNING on the local port; it goes no further. It must come before anything else, or be signed with the key
+/// in use. That key once more has the one before retire.
+fn setup(key: &[u8], signed: bool) -> impl FnOnce(&mut Relay, &mut Sending) -> Result<()> + use<> {
     let key = key.to_vec();
     move |relay, sending| {
-        let mut frame = vec![0xFD, SETUP_SIZE, 0, 0, 0, 255, 190];
-        frame.extend(&SETUP_SIGNING.to_le_bytes()[..3]);
-        frame.extend(ticks_now().to_le_bytes());
-        frame.extend([SYSTEM, COMPONENT]);
-        frame.extend(&key);
-        frame.extend([0; 2]);
-        wire::repair(&mut frame);
-        sending.rejected(Local, "SETUP_SIGNING", "SETUP_SIGNING", [frame]);
+        let mut frame = setup_signing(&key);
+        let mut name = "SETUP_SIGNING, before anything else";
+        if signed {
+            frame = wire::sign(&frame, &relay.keys[0], LINK_IN, ticks_now());
+            name = "SETUP_SIGNING, signed with the key in use";
+        }
+        sending.rejected(Local, name, "SETUP_SIGNING", [frame]);
         sending.says("[INFO ] SETUP_SIGNING: done");
         if relay.keys[0] == key {
             relay.keys.truncate(1);
@@ -175,6 +173,16 @@ fn setup(key: &[u8]) -> impl FnOnce(&mut Relay, &mut Sending) -> Result<()> + us
         }
         Ok(())
     }
+}
+
+/// Later, nobody is believed who has no key.
+fn not_present(relay: &mut Relay, sending: &mut Sending) -> Result<()> {
+    let frame = setup_signing(&KEY);
+    let forged = wire::sign(&frame, &KEY, LINK_IN, ticks_now());
+    sending.rejected(Local, "SETUP_SIGNING, later", "no presence", [frame]);
+    let name = "SETUP_SIGNING, signed with another key";
+    sending.rejected(Local, name, "bad tag", [forged]);
+    relay.signs(sending)
 }
 
 impl Relay {
@@ -200,7 +208,8 @@ impl Relay {
     fn below_own_last(&self) -> Result<Vec<Frame>> {
         let (first, last) = (self.last - EACH as u64, self.last_of_peer);
         ensure!(last < first, "the peer's stamps are ahead of the relay's");
-        let key = self.keys.last().context("a relay has a key")?;
+        // Each key has a mark of its own. This one's is beyond what the relay has signed with it.
+        let key = self.keys.first().context("a relay has a key")?;
         let frames = self.samples.iter().take(EACH).zip(first..);
         let signed = frames.map(|(frame, ticks)| wire::sign(frame, key, LINK_IN, ticks));
         Ok(signed.collect())

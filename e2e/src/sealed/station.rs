@@ -1,6 +1,6 @@
 //! A ground station on this machine: its commands sealed, the vehicle's packages opened.
 
-use std::time::Duration;
+use std::{collections::BTreeSet, time::Duration};
 
 use anyhow::{Context, Result, bail, ensure};
 use mavlink::{
@@ -22,6 +22,36 @@ pub(super) struct Sealed {
     pub(super) packets: Vec<u8>,
 }
 
+/// How far behind the newest a package may be: `commsec/src/seen.rs`.
+const REORDERED: u32 = 64;
+
+/// What was opened of a sender since the start: each package once, those that others have overtaken too.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Heard {
+    /// Nothing up to this counter is opened.
+    pub(super) above: u32,
+    counters: BTreeSet<u32>,
+}
+
+impl Heard {
+    /// After a start.
+    pub(super) fn above(above: u32) -> Self {
+        let counters = BTreeSet::new();
+        Self { above, counters }
+    }
+
+    /// The last counter that is known.
+    pub(super) fn last(&self) -> u32 {
+        self.counters.last().map_or(self.above, |last| *last)
+    }
+
+    /// Whether a package with this counter must be opened now.
+    pub(super) fn opens(&mut self, counter: u32) -> bool {
+        let late = self.last().saturating_sub(counter) > REORDERED;
+        counter > self.above && !late && self.counters.insert(counter)
+    }
+}
+
 /// A key, prepared.
 pub(super) fn key(sender: &SenderKeys) -> Result<SealingKey> {
     Ok(SealingKey::new(&*sender.key, sender.salt)?)
@@ -33,6 +63,7 @@ pub(super) struct Station {
     sealer: Sealer,
     packer: Packer,
     opener: Opener<1>,
+    heard: Heard,
     sequence: u8,
     /// The way from the vehicle, and the way to it
     down: Air,
@@ -49,6 +80,7 @@ impl Station {
             sealer: Sealer::new(key(own)?, SenderId(id)),
             packer: Packer::new(Duration::from_millis(50)),
             opener,
+            heard: Heard::default(),
             sequence: 0,
             down: Air::new(seed, 2 * u64::from(id)),
             up: Air::new(seed, 2 * u64::from(id) + 1),
@@ -99,16 +131,16 @@ impl Station {
         })
     }
 
-    /// Opens what the vehicle has sent and the air has let through; each package once, in order.
+    /// Opens what the vehicle has sent and the air has let through; each package once.
     pub(super) fn listen(&mut self, name: &str, sent: &[Sealed]) -> Result<Row> {
         let (packages, air) = self.down.carry(sent);
-        let mut last = self.opener.senders().map(|(_, last)| last).max();
         let mut row = self.row(name, "stale");
         row.air = Some(air);
         for sealed in packages {
-            let counter = Some(sealed.counter);
+            let counter = sealed.counter;
+            let opens = self.heard.opens(counter);
             match self.opener.open(&sealed.package) {
-                Ok(opened) if counter > last => {
+                Ok(opened) if opens => {
                     let came: Vec<&[u8]> = opened.packets().filter_map(Result::ok).collect();
                     ensure!(
                         came.concat() == sealed.packets,
@@ -116,9 +148,8 @@ impl Station {
                         row.name
                     );
                     row.counts.passed += 1;
-                    last = counter;
                 }
-                Err(OpenError::Stale { .. }) if counter <= last => row.counts.rejected += 1,
+                Err(OpenError::Stale { .. }) if !opens => row.counts.rejected += 1,
                 other => bail!("{}: {counter:?}: {other:?}", row.name),
             }
         }

@@ -8,14 +8,15 @@ use mavseal_keys::KeyFile;
 
 use super::{
     air::Air,
-    station::{Sealed, Station, key},
+    station::{Heard, Sealed, Station, key},
 };
 use crate::{
-    scenario::{Counts, Device, Side},
+    scenario::{Counts, Device, Sending, Side},
     wire,
 };
 
-/// How far the firmware's marks are ahead at most: `relay/src/sealed.rs`.
+/// How far the firmware's first marks are ahead. Each next one is at most twice as far ahead as the one before, so
+/// that a mark is no further ahead than this and all that was used: `relay/src/sealed/paced.rs`.
 const SENT_RESERVATION: u32 = 256;
 const ACCEPTED_RESERVATION: u32 = 8;
 /// CRC_EXTRA of VEHICLE_RADIO.
@@ -52,14 +53,16 @@ pub(super) struct Vehicle {
     pub(super) heard: usize,
     /// Packages that the vehicle must have accepted
     pub(super) accepted: Vec<Sealed>,
-    /// The last counter of each sender that it must have
-    last: BTreeMap<u32, u32>,
+    /// What it must have opened of each sender
+    opened: BTreeMap<u32, Heard>,
     /// Since the start, so many of each sender
     accepted_of: BTreeMap<u32, usize>,
     /// Since the start: packages from the vehicle, and packets that tell of its radio
     packages: usize,
     radio_told: usize,
     pub(super) radio_told_ever: usize,
+    /// How many of those ever must have come before the next step
+    radio_told_due: usize,
     /// Where the vehicle goes on, as it says, and above which counter it hears each sender
     next: Option<u32>,
     above: BTreeMap<u32, u32>,
@@ -81,30 +84,32 @@ impl Vehicle {
             sent: Vec::new(),
             heard: 0,
             accepted: Vec::new(),
-            last: keys
-                .stations()
-                .iter()
-                .map(|station| (station.id, 0))
-                .collect(),
+            opened: BTreeMap::new(),
             accepted_of: BTreeMap::new(),
             packages: 0,
             radio_told: 0,
             radio_told_ever: 0,
+            radio_told_due: 0,
             next: None,
             above: BTreeMap::new(),
         })
     }
 
+    /// Waits until the radio has answered once more: it is not asked again within a second.
+    pub(super) fn radio_answers(&mut self, _: &mut Sending) -> Result<()> {
+        self.radio_told_due = self.radio_told_ever + 1;
+        Ok(())
+    }
+
     /// Whether the vehicle must accept a package that comes to it now.
     pub(super) fn accepts(&mut self, sealed: &Sealed) -> bool {
-        let last = self.last.entry(sealed.sender).or_default();
-        let newer = sealed.counter > *last;
-        if newer {
-            *last = sealed.counter;
+        let opened = self.opened.entry(sealed.sender).or_default();
+        let opens = opened.opens(sealed.counter);
+        if opens {
             *self.accepted_of.entry(sealed.sender).or_default() += 1;
             self.accepted.push(sealed.clone());
         }
-        newer
+        opens
     }
 
     /// Where it goes on after a start: above all that it has used and accepted, and not far above.
@@ -112,20 +117,31 @@ impl Vehicle {
         let sent = self.sent.last().map_or(0, |sealed| sealed.counter);
         let ahead = next.checked_sub(sent + 1);
         // A fresh key begins with the first counter.
-        let most = if sent == 0 { 1 } else { SENT_RESERVATION };
-        let right = ahead.is_some_and(|ahead| ahead < most);
+        let most = if sent == 0 {
+            0
+        } else {
+            sent + SENT_RESERVATION
+        };
+        let right = ahead.is_some_and(|ahead| ahead <= most);
         ensure!(right, "after counter {sent} the vehicle goes on at {next}");
-        for (sender, last) in &self.last {
-            let above = self.above.get(sender).context("every sender is told")?;
-            let ahead = above.checked_sub(*last);
-            let most = if *last == 0 { 0 } else { ACCEPTED_RESERVATION };
+        for station in &self.stations {
+            let opened = self.opened.entry(station.id).or_default();
+            let (last, above) = (opened.last(), self.above.get(&station.id));
+            let above = *above.context("every sender is told")?;
+            let ahead = above.checked_sub(last);
+            let most = if last == 0 {
+                0
+            } else {
+                last + ACCEPTED_RESERVATION
+            };
             let right = ahead.is_some_and(|ahead| ahead <= most);
             ensure!(
                 right,
-                "sender {sender} was heard up to {last}, and is heard above {above}"
+                "sender {} was heard up to {last}, and is heard above {above}",
+                station.id
             );
+            *opened = Heard::above(above);
         }
-        self.last.clone_from(&self.above);
         Ok(())
     }
 
@@ -206,6 +222,10 @@ impl Device for Vehicle {
             }
         }
         Ok(())
+    }
+
+    fn is_ready(&self) -> bool {
+        self.radio_told_ever >= self.radio_told_due
     }
 
     fn counters(&self, [down, up]: [Counts; 2]) -> Vec<String> {

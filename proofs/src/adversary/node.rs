@@ -176,10 +176,15 @@ impl Node {
 
     /// Power on, unless it is: it starts, whatever was cut before.
     pub(super) fn start(&mut self, now: u64) {
-        if self.running.is_some() {
-            return;
+        if self.running.is_none() {
+            self.flash.borrow_mut().restart();
+            self.try_start(now);
+            assert!(self.running.is_some(), "it starts");
         }
-        self.flash.borrow_mut().restart();
+    }
+
+    /// The same, where the power may fail meanwhile.
+    pub(super) fn try_start(&mut self, now: u64) {
         self.started = now;
         self.asked = 0;
         self.timer = Rc::new(Cell::new(0));
@@ -193,7 +198,9 @@ impl Node {
         };
         let first = key_bytes(0);
         let opened = LinkMemory::open(flash, FirstKey::Own(&first), timer);
-        let (keys, memory) = opened.expect("it starts");
+        let Ok((keys, memory)) = opened else {
+            return;
+        };
         let receiver = StreamTable::new(Links::Any, Window::ONE_MINUTE);
         let stamper = Stamper::new(self.id);
         let relay = Relay::new(keys, stamper, receiver, ForwardMode::StripSignature);
@@ -260,7 +267,11 @@ impl Node {
             let result =
                 told.map(|told| running.memory.clock.update(TimeSource::Trusted, at(told)));
             let dead = self.told == Told::Dead && result.is_some();
-            assert!(!dead || result == Some(Err(TimeError::BehindMark)));
+            assert!(
+                !dead || result == Some(Err(TimeError::BehindMark)),
+                "{result:?} {used:?} {}",
+                self.id
+            );
         }
         Some(running)
     }
@@ -282,8 +293,8 @@ impl Node {
         assert!(moved <= 100_000, "{moved} by spoofing");
     }
 
-    pub(super) fn remembered(&self) -> Option<Remembered> {
-        let running = self.running.as_ref()?;
+    pub(super) fn remembered(&mut self, now: u64) -> Option<Remembered> {
+        let running = self.at(now)?;
         let shown = format!("{:?}{:?}", running.memory.clock, running.relay.keys());
         Some((self.flash.borrow().writes(), shown))
     }

@@ -36,12 +36,19 @@ impl Pace {
         most: 1 << 14,
     };
 
+    /// The same where they follow a clock: every 10 s, 8 to 640 ahead.
+    pub const ACCEPTED_WITH_CLOCK: Self = Self {
+        most: 10 * 64,
+        ..Self::ACCEPTED
+    };
+
     /// How far ahead the next mark is stored, when the last was stored `ahead`, `ticks` ago, and `used` counters
     /// have gone by.
     fn next(self, ahead: u64, used: u64, ticks: u64) -> u64 {
         let expected = used.saturating_mul(self.period) / ticks.max(1);
-        let most = ahead.saturating_mul(2).clamp(self.least, self.most);
-        expected.clamp(self.least, most)
+        // Not `clamp`, which panics where the least is more than the most.
+        let most = ahead.saturating_mul(2).max(self.least).min(self.most);
+        expected.max(self.least).min(most)
     }
 }
 

@@ -170,6 +170,18 @@ impl Machine {
         Ok(())
     }
 
+    /// Runs until something has changed in RAM at `addresses`.
+    ///
+    /// # Errors
+    /// If it ends before that.
+    pub(crate) fn run_to_change(&mut self, addresses: &Range<u32>) -> Result<()> {
+        let before = self.ram(addresses.clone());
+        while self.ram(addresses.clone()) == before {
+            ensure!(self.step()?, "it ends and has changed nothing");
+        }
+        Ok(())
+    }
+
     /// Runs the function, at whose first instruction it is, to its return.
     ///
     /// # Errors

@@ -1,5 +1,5 @@
-//! The peripherals of the MPS2-AN500 that the firmware uses: a timer and two UARTs (Arm DDI 0479), and a
-//! debugger that tells the time.
+//! The peripherals of the MPS2-AN500 that the firmware uses: a timer, two UARTs and a watchdog that never ends
+//! (Arm DDI 0479), and a debugger that tells the time.
 
 use std::{cell::RefCell, collections::VecDeque, rc::Rc};
 
@@ -10,6 +10,7 @@ use armagnac::{
 
 const TIMER: u32 = 0x4000_0000;
 const UARTS: [u32; 2] = [0x4000_4000, 0x4000_5000];
+const WATCHDOG: u32 = 0x4000_8000;
 const GROUP_SIZE: u32 = 0x1000;
 
 const TIMER_VALUE: u32 = 0x04;
@@ -22,8 +23,9 @@ const RECEIVE_OVERRUN: u32 = 1 << 3;
 const CYCLES_PER_TICK: u64 = 250;
 pub(crate) const TICKS_PER_SECOND: u64 = 100_000;
 
-/// When the board is switched on, in seconds since 1970.
+/// When the board is switched on, in seconds since 1970, and the beginning of 2015.
 const START: u32 = 1_800_000_000;
+const EPOCH: u32 = 1_420_070_400;
 
 /// What is connected to the board.
 #[derive(Default)]
@@ -51,7 +53,7 @@ impl Mps2 {
         this: &Rc<RefCell<Self>>,
         processor: &mut Processor,
     ) -> Result<(), MapConflict> {
-        for start in [TIMER, UARTS[0], UARTS[1]] {
+        for start in [TIMER, UARTS[0], UARTS[1], WATCHDOG] {
             let all = Rc::clone(this);
             processor.map_iface(start, Rc::new(RefCell::new(Group { start, all })))?;
         }
@@ -62,6 +64,11 @@ impl Mps2 {
     pub(crate) fn next_second(&mut self) -> u32 {
         self.pass(TICKS_PER_SECOND);
         START + (self.cycles / CYCLES_PER_TICK / TICKS_PER_SECOND) as u32
+    }
+
+    /// The time of day in ticks of 10 microseconds since 2015.
+    pub(crate) fn now(&self) -> u64 {
+        u64::from(START - EPOCH) * TICKS_PER_SECOND + self.cycles / CYCLES_PER_TICK
     }
 
     /// Lets `ticks` of 10 microseconds pass.
@@ -117,7 +124,7 @@ impl MemoryInterface for Group {
                 uart.sent.push(value as u8);
             }
             (Some(uart), UART_STATE) => uart.overrun &= value & RECEIVE_OVERRUN == 0,
-            // Control, interval and speed, which the firmware sets once.
+            // Control, interval and speed, which the firmware sets once, and the watchdog.
             _ => {}
         }
         Ok(())

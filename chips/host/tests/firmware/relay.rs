@@ -49,6 +49,7 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
         ticks: 0,
     };
     for (round, marks) in [(1, MARKS), (2, 1)] {
+        play.starts([round; 32])?;
         play.down(1, &[])?;
         play.down(1, &[round; 255])?;
         for system in 1..=SYSTEMS {
@@ -58,7 +59,6 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
         let [one_more, _] = play.signed(SYSTEMS + 1, &[round; 255]);
         play.lines.pass(RADIO, &one_more)?;
         play.rejects()?;
-        play.changes_key([round; 32])?;
         let [signed, unsigned] = play.signed(1, &[7; 255]);
         play.lines.loses_a_byte(LOCAL, &unsigned)?;
         play.lines.loses_a_byte(RADIO, &signed)?;
@@ -145,26 +145,49 @@ impl Play {
         for side in [LOCAL, RADIO] {
             self.lines.rejected(side, &MAVLINK_1)?;
         }
-        // Signed already, for a message that nobody knows, damaged.
+        // Signed already, in another's name, for a message that nobody knows, damaged.
         let [signed, mut damaged] = self.signed(1, &[7; 255]);
         self.lines.rejected(LOCAL, &signed)?;
+        let foreign = frame(2, ENCAPSULATED_DATA, &[7; 255]);
+        self.lines.rejected(LOCAL, &foreign)?;
         damaged[20] ^= 1;
-        self.lines.rejected(LOCAL, &damaged)?;
-        self.lines
-            .rejected(LOCAL, &frame(1, (0x00FF_FFFF, 0), &[7; 255]))?;
+        for no_packet in [damaged, frame(1, (0x00FF_FFFF, 0), &[7; 255])] {
+            self.lines.rejected(LOCAL, &no_packet)?;
+            // The place in the stream is lost.
+            let good = frame(1, ENCAPSULATED_DATA, &[7]);
+            self.lines.rejected(LOCAL, &good)?;
+            self.lines.silence()?;
+        }
         Ok(())
     }
 
-    /// SETUP_SIGNING of the vehicle's side gives it `key`: it is taken over, heard and settled.
-    fn changes_key(&mut self, key: [u8; 32]) -> Result<()> {
-        let payload = [&self.ticks.to_le_bytes()[..], &[1, 25], &key].concat();
-        let setup = frame(1, SETUP_SIGNING, &payload);
-        self.lines.rejected(LOCAL, &setup)?;
+    /// It hears its vehicle after a silence. First comes SETUP_SIGNING, which gives it `key`: it is taken over, heard, and
+    /// settled by another that is signed with it. Later, without a signature, none is taken.
+    fn starts(&mut self, key: [u8; 32]) -> Result<()> {
+        let good = frame(1, ENCAPSULATED_DATA, &[7]);
+        self.lines.rejected(LOCAL, &good)?;
+        self.lines.silence()?;
+        self.lines.machine.restart();
+        self.lines.pass(LOCAL, &[])?;
+        self.lines.silence()?;
+
+        self.ticks = self.lines.machine.mps2.borrow().now();
+        let setup = |ticks: u64, key: &[u8; 32]| {
+            let payload = [&ticks.to_le_bytes()[..], &[1, 25], key].concat();
+            frame(1, SETUP_SIGNING, &payload)
+        };
+        self.lines.rejected(LOCAL, &setup(self.ticks, &key))?;
         self.up(1, &[1; 255])?;
         let old = std::mem::replace(&mut self.key, key);
         self.down(1, &[1; 255])?;
         self.up(1, &[1; 255])?;
-        self.lines.rejected(LOCAL, &setup)?;
+        self.lines
+            .rejected(LOCAL, &setup(self.ticks, &[0x33; 32]))?;
+        self.down(1, &[1; 255])?;
+        let again = setup(self.ticks, &key);
+        let with = (self.tag, &self.key[..]);
+        let again = wire::sign(&again, SETUP_SIGNING.1, with, LINK_IN, self.ticks);
+        self.lines.rejected(LOCAL, &again)?;
         self.key = old;
         let [signed, _] = self.signed(1, &[1; 255]);
         self.lines.rejected(RADIO, &signed)?;

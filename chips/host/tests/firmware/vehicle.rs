@@ -22,14 +22,27 @@ use crate::{
 const PACKET: ([u8; 3], u8) = ([0x90, 0x01, 0], 110);
 /// Bytes of payload with which a packet fills a message.
 const FULL: usize = 80 - 12;
-/// More packages of one station than a page of flash holds marks for: 128, each 8 further.
-const PACKAGES: usize = 1100;
+/// More marks than a page of flash holds: 128.
+const MARKS: u32 = 140;
+/// Counters beyond which a mark is stored anew, and time after which it is not further ahead.
+const RESERVED: u32 = 8;
+const SECONDS: u64 = 11;
 
 /// The vehicle, and what both sides have in mind.
 struct Play {
     lines: Lines,
     opener: Opener<1>,
-    stations: Vec<Sealer>,
+    stations: Vec<Station>,
+}
+
+/// A station, and the counter that it seals with next.
+struct Station {
+    keys: SenderKeys,
+    next: u32,
+}
+
+fn key(sender: &SenderKeys) -> Result<SealingKey> {
+    Ok(SealingKey::new(&*sender.key, sender.salt)?)
 }
 
 /// Plays with the vehicle; gives the machine as it is then.
@@ -38,17 +51,23 @@ struct Play {
 /// If something comes out that must not, or does not that must.
 pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
     let keys = KeyFile::read(&keys()?, Exceptions::default())?;
-    let key = |sender: &SenderKeys| SealingKey::new(&*sender.key, sender.salt);
     let mut opener = Opener::new();
     opener.permit(key(keys.vehicle())?, &[SenderId(keys.vehicle().id)])?;
-    let stations = keys.stations().iter();
-    let stations = stations.map(|own| Ok(Sealer::new(key(own)?, SenderId(own.id))));
+    let stations = keys.stations().iter().cloned();
+    let stations = stations.map(|keys| Station { keys, next: 1 });
     let mut play = Play {
         lines: Lines::start(image, elf)?,
         opener,
-        stations: stations.collect::<Result<_>>()?,
+        stations: stations.collect(),
     };
-    for packages in [PACKAGES, 1] {
+    // The power fails in the first write of all.
+    let machine = &mut play.lines.machine;
+    machine.run_to(elf.find("mavseal_store::pages::Pages<F>::append")?.start)?;
+    machine.run_to_change(&elf.find("mavseal_qemu_m7::flash::MEMORY")?)?;
+    machine.restart();
+    for marks in [MARKS, 1] {
+        play.lines.rejected(LOCAL, &packet(1))?;
+        play.lines.silence()?;
         for length in [0, 20, FULL] {
             play.down(&packet(length))?;
             play.up(0, &packet(length))?;
@@ -62,14 +81,15 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
         let lost = play.sealed(0, &packet(FULL))?;
         play.lines.loses_a_byte(RADIO, &framed(&lost))?;
         play.radio_answers()?;
-        for _ in 0..packages {
+        for _ in 0..marks {
+            play.lines.passes(SECONDS);
+            play.stations[0].next += RESERVED;
             play.up(0, &packet(1))?;
         }
         play.lines.machine.restart();
-        // A mark is up to 8 ahead of what was accepted.
-        for station in [0, 1].repeat(8) {
-            let skipped = play.sealed(station, &packet(1))?;
-            play.lines.pass(RADIO, &framed(&skipped))?;
+        for station in &mut play.stations {
+            // A mark is at most as far ahead of what was accepted as that is of the first.
+            station.next += station.next + RESERVED;
         }
     }
     Ok(play.lines.machine)
@@ -119,7 +139,10 @@ impl Play {
         let mut packer = Packer::new(Duration::ZERO);
         let full = packer.push(packet, Duration::ZERO)?;
         let message = full.or_else(|| packer.flush()).context("a packet")?;
-        Ok(self.stations[station].seal(&message)?)
+        let Station { keys, next } = &mut self.stations[station];
+        let sealed = Sealer::resume(key(keys)?, SenderId(keys.id), *next).seal(&message)?;
+        *next += 1;
+        Ok(sealed)
     }
 
     /// A packet of a station, which comes out as it was.

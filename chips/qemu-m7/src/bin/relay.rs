@@ -139,27 +139,33 @@ fn main() -> ! {
     let [mut local, mut link] = board.uarts;
     let mut log = Log::default();
     // What is on the line may have begun before the start: nothing is heard before the line was silent.
-    relay.line_event(Side::Local, LineEvent::Overrun, &mut kept, &mut |event| {
-        log.event(event);
-    });
+    relay.line_event(
+        Side::Local,
+        LineEvent::Overrun,
+        &mut kept,
+        &mut observer(&mut log),
+    );
     // The board has neither jumper nor button: whoever switches it on may give it a key, before anything else comes.
     relay.set_presence(Presence::AtStart);
 
     loop {
         board.watchdog.feed();
-        let mut observe = |event| log.event(event);
-        let polled = adapter::poll(&mut relay, &mut local, &mut link, &mut kept, &mut observe);
-        for (side, polled) in [
-            (Side::Local, &polled.outbound),
-            (Side::Link, &polled.inbound),
-        ] {
-            if let Err(error) = polled {
-                warn!("{}: {}", side, error);
-                let _ = error;
-                // Bytes are lost: what follows may lie within a payload.
-                relay.line_event(side, LineEvent::Overrun, &mut kept, &mut observe);
+        let moved = {
+            let mut observe = observer(&mut log);
+            let polled = adapter::poll(&mut relay, &mut local, &mut link, &mut kept, &mut observe);
+            for (side, polled) in [
+                (Side::Local, &polled.outbound),
+                (Side::Link, &polled.inbound),
+            ] {
+                if let Err(error) = polled {
+                    warn!("{}: {}", side, error);
+                    let _ = error;
+                    // Bytes are lost: what follows may lie within a payload.
+                    relay.line_event(side, LineEvent::Overrun, &mut kept, &mut observe);
+                }
             }
-        }
+            polled.moved()
+        };
         if let Some(setup) = relay.take_setup() {
             let applied = relay.apply_setup(&setup, &mut kept, &mut store);
             log_key("SETUP_SIGNING", applied);
@@ -177,7 +183,7 @@ fn main() -> ! {
         if kept.monotonic().saturating_sub(told) > HOUR {
             told = tell(&mut kept);
         }
-        log.turn(polled.moved(), kept.now(), &relay);
+        log.turn(moved, kept.now(), &relay);
     }
 }
 
@@ -201,6 +207,11 @@ fn tell<T: FnMut() -> u64>(kept: &mut Memory<T>) -> u64 {
 struct Log {
     rejected: Runs<(Direction, RejectReason)>,
     moved: Option<Timestamp>,
+}
+
+/// One type for all places: each other would have the relay in the image once more.
+fn observer(log: &mut Log) -> impl FnMut(Event) {
+    |event| log.event(event)
 }
 
 impl Log {

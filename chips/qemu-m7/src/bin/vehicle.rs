@@ -48,9 +48,11 @@ const REGION: Region = Region {
     page_size: PAGE_SIZE as u32,
 };
 
+type MarkPlace<'a> = Place<&'a mut Flash>;
+
 /// Where the marks lie: one flash for each counter.
-fn places<F>(flashes: [F; COUNTERS]) -> Option<(Place<F>, [Place<F>; STATIONS])> {
-    let [sent, accepted @ ..] = flashes.map(|flash| (flash, REGION));
+fn places(flashes: &mut [Flash; COUNTERS]) -> Option<(MarkPlace<'_>, [MarkPlace<'_>; STATIONS])> {
+    let [sent, accepted @ ..] = flashes.each_mut().map(|flash| (flash, REGION));
     let accepted = accepted.into_iter().take(STATIONS);
     let accepted = accepted.collect::<Vec<_, STATIONS>>();
     Some((sent, accepted.into_array().ok()?))
@@ -58,8 +60,8 @@ fn places<F>(flashes: [F; COUNTERS]) -> Option<(Place<F>, [Place<F>; STATIONS])>
 
 /// The marks in the flashes. Blank ones are provisioned: this board is a new one at each start of the emulator, with
 /// new keys. In the field that is a step of production, and no start does it.
-fn marks(mut flashes: [Flash; COUNTERS]) -> Option<HighWaterMarks<Flash, STATIONS>> {
-    let (sent, accepted) = places(flashes.each_mut())?;
+fn marks(flashes: &mut [Flash; COUNTERS]) -> Option<HighWaterMarks<&mut Flash, STATIONS>> {
+    let (sent, accepted) = places(flashes)?;
     let opened = HighWaterMarks::open::<AesGcm>(&OWN, &PEERS, sent, accepted);
     let is_new = opened.err() == Some(MarksError::NotProvisioned);
     let (sent, accepted) = places(flashes)?;
@@ -82,7 +84,7 @@ fn main() -> ! {
         exit(1);
     };
     board.watchdog.feed();
-    let Some(marks) = marks(board.counters) else {
+    let Some(marks) = marks(&mut board.counters) else {
         warn!("The marks cannot be used");
         exit(1);
     };
@@ -105,22 +107,29 @@ fn main() -> ! {
     }
     let mut log = Log::default();
     // What is on the line may have begun before the start: nothing is heard before the line was silent.
-    end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut |_| {});
+    end.line_event(
+        Side::Local,
+        LineEvent::Overrun,
+        &mut uptime,
+        &mut observer(&mut log, 0),
+    );
     loop {
         board.watchdog.feed();
         let now = uptime.monotonic();
-        let mut observe = |event| log.event(event, now);
-        let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
-        if let Err(error) = &polled.outbound {
-            warn!("autopilot to radio: {}", error);
-            let _ = error;
-            // Bytes are lost: what follows may lie within a payload.
-            end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut observe);
-        }
-        if let Err(error) = &polled.inbound {
-            warn!("radio to autopilot: {}", error);
-            let _ = error;
-            end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
+        {
+            let mut observe = observer(&mut log, now);
+            let polled = adapter::poll(&mut end, &mut local, &mut radio, &mut uptime, &mut observe);
+            if let Err(error) = &polled.outbound {
+                warn!("autopilot to radio: {}", error);
+                let _ = error;
+                // Bytes are lost: what follows may lie within a payload.
+                end.line_event(Side::Local, LineEvent::Overrun, &mut uptime, &mut observe);
+            }
+            if let Err(error) = &polled.inbound {
+                warn!("radio to autopilot: {}", error);
+                let _ = error;
+                end.line_event(Side::Link, LineEvent::Overrun, &mut uptime, &mut observe);
+            }
         }
         if log.is_quiet(now) {
             if end.erases() > WORN {
@@ -139,6 +148,11 @@ struct Log {
     rejected: Runs<(Direction, SealedRejectReason)>,
     opened: [u32; STATIONS],
     news: Option<u64>,
+}
+
+/// One type for all places: each other would have the end in the image once more.
+fn observer(log: &mut Log, now: u64) -> impl FnMut(SealedEvent) {
+    move |event| log.event(event, now)
 }
 
 impl Log {
