@@ -59,8 +59,8 @@ const MAX_OLD_ID: u32 = 15;
 /// Keys that were published: anybody can look them up.
 ///
 /// Those of Keys.mk.example and of the constants before it. Those in tests and defaults of SMACCMPilot and
-/// its successor. Those of the example in this package's documentation.
-const PUBLISHED: [[u8; 16]; 6] = [
+/// its successor. Those of the examples in the documentation of this package and of `mavlink-commsec`.
+const PUBLISHED: [[u8; 16]; 9] = [
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
     [15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0],
     [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
@@ -69,6 +69,9 @@ const PUBLISHED: [[u8; 16]; 6] = [
     ],
     0xb5cc_1a3e_8f8d_5a6c_01f2_d8c3_7b0e_94aa_u128.to_be_bytes(),
     0x7d0f_6a1b_e4c2_9358_08de_17ab_4f5c_6e22_u128.to_be_bytes(),
+    *b"16 random bytes.",
+    *b"16 other bytes..",
+    *b"another 16 bytes",
 ];
 
 /// What is allowed although a link in use must not have it. By default nothing.

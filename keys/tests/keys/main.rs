@@ -70,6 +70,10 @@ fn published_keys_are_rejected() {
         "1817161514131211100f0e0d0c0b0a09",
         "7d0f6a1be4c2935808de17ab4f5c6e22",
         "b5cc1a3e8f8d5a6c01f2d8c37b0e94aa",
+        // Those of commsec/README.md, which are text.
+        "31362072616e646f6d2062797465732e",
+        "3136206f746865722062797465732e2e",
+        "616e6f74686572203136206279746573",
     ] {
         let text = TOML.replace("8e1f7b2ce4c2935808de17ab4f5c6e22", first);
         assert!(matches!(toml(&text), Err(KeyFileError::Published(1))));
