@@ -7,7 +7,7 @@ use mavlink_signing::{
     AllowLink, AntiReplay, Authenticate, Frame, FrameRef, Header, KeyRing, KeySlot, LinkClock,
     MessageId, Packet, Profile, RejectUnsigned, ReplayGuard, Resync, SETUP_SIGNING, SetupSigning,
     Stamp, Stamper, Timestamp, UnsignedPolicy, Verified, VerifyError, Window, accept_unsigned,
-    authenticate, sign_frame,
+    sign_frame,
 };
 
 use crate::event::{Direction, Event, RejectReason};
