@@ -670,6 +670,23 @@ mod tests {
         }
     }
 
+    /// What is lost from the end of a packet on, up to what lies in the next one's payload, leaves no trace but the report.
+    #[test]
+    fn d_traceless_loss() {
+        let mut traceless = 0;
+        for count in 0..40 {
+            let mut world = World::new(7, 0);
+            world.start_all();
+            world.step(Step::Beat(1, 0));
+            let before = world.report.signed;
+            world.step(Step::Tunnel(1, Nested::Beat, Edit::Lose(17, count), false));
+            // The HEARTBEAT in front of it alone.
+            traceless += u32::from(world.report.signed == before + 1);
+            world.heal();
+        }
+        assert_eq!(traceless, 40);
+    }
+
     /// The power fails inside any write of the first start, and again: a device starts all the same.
     #[test]
     fn d_cut_at_the_first_start() {
