@@ -3,6 +3,8 @@
 # committed inputs and the dictionary. Run in the image of the Dockerfile beside this file.
 
 cd "$SRC/mavseal"
+# `cargo fuzz` knows no `--locked`: this fails where Cargo.lock does not fit.
+cargo metadata --locked --format-version 1 --manifest-path fuzz/Cargo.toml > /dev/null
 cargo fuzz build -O --debug-assertions
 
 for target in $(cargo fuzz list); do

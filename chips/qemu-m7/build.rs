@@ -17,27 +17,33 @@ fn main() {
 /// The key file as constants of the program.
 #[cfg(feature = "sealing")]
 mod keys {
-    use std::{env, error::Error, fs, path::Path};
+    use std::{env, error::Error, path::Path};
 
     use mavseal_keys::{Exceptions, KeyFile, Role};
 
     /// The variable that names the key file.
     const VARIABLE: &str = "MAVSEAL_KEYS";
+    /// If it is set, group or others may have access to that file: for file systems without permissions.
+    const EXPOSED: &str = "MAVSEAL_KEYS_EXPOSED";
 
     pub(crate) fn write() -> Result<(), Box<dyn Error>> {
         println!("cargo::rerun-if-env-changed={VARIABLE}");
+        println!("cargo::rerun-if-env-changed={EXPOSED}");
         let path = env::var_os(VARIABLE).ok_or_else(|| {
             format!(
                 "{VARIABLE} names no key file. `cargo xtask keys --stations 2 FILE` makes one; then \
-                 {VARIABLE}=FILE cargo build, with the whole path of FILE"
+                 {VARIABLE}=FILE cargo build --locked, with the whole path of FILE"
             )
         })?;
         let path = Path::new(&path);
         println!("cargo::rerun-if-changed={}", path.display());
-        let keys = KeyFile::read(path, Exceptions::default())?;
-        let source = keys.to_rust_source(Role::Vehicle)?;
+        let exceptions = Exceptions {
+            exposed_file: env::var_os(EXPOSED).is_some(),
+            ..Exceptions::default()
+        };
+        let keys = KeyFile::read(path, exceptions)?;
         let folder = env::var_os("OUT_DIR").ok_or("cargo sets OUT_DIR")?;
-        fs::write(Path::new(&folder).join("keys.rs"), source.as_bytes())?;
+        keys.write_rust_source(Role::Vehicle, &Path::new(&folder).join("keys.rs"))?;
         Ok(())
     }
 }

@@ -13,6 +13,7 @@ pub fn key_file(bytes: &[u8]) {
             let exceptions = Exceptions {
                 published_keys,
                 shared_station_keys,
+                exposed_file: false,
             };
             read(text, exceptions, &KeyFile::from_toml(text, exceptions));
             read(text, exceptions, &KeyFile::from_keys_mk(text, exceptions));

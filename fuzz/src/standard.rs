@@ -42,7 +42,8 @@ const LATER: u64 = 1 << 47;
 /// it and stamps nothing earlier. So before [`LATER`] its tags alone are compared.
 pub fn diff_standard(input: Foreign<'_>) {
     let Ok(key) = SigningKey::<Standard>::new(&input.key) else {
-        return assert_eq!(input.key, [0; 32]);
+        let none = [[0; 32], [0xFF; 32], hmac_sha256::Hash::hash(b"")];
+        return assert!(none.contains(&input.key));
     };
     let stamp = Stamp::from(input.stamped);
     let Ok(mut frame) = Frame::new(input.head.into(), input.payload) else {

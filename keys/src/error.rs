@@ -16,6 +16,14 @@ pub enum KeyFileError {
         /// Why. No [`source`](std::error::Error::source): whoever prints those too would say it twice.
         error: io::Error,
     },
+    /// Group or others have access to the file. Whoever may have read it has the keys: make new ones then.
+    #[error("{path}: mode {mode:04o} lets others than its owner in: `chmod 600` mends it", path = path.display())]
+    Exposed {
+        /// Which file.
+        path: PathBuf,
+        /// Its permissions, the last 12 bits of its mode.
+        mode: u32,
+    },
     /// What is wrong with the content of a file that was read.
     #[error("{path}: {fault}", path = path.display())]
     Content {

@@ -2,8 +2,8 @@
 
 use std::{
     fmt, fs,
-    fs::OpenOptions,
-    io::{self, Write as _},
+    fs::{File, OpenOptions},
+    io::{self, Read as _, Write as _},
     path::Path,
 };
 
@@ -12,6 +12,7 @@ use zeroize::Zeroizing;
 
 use crate::error::KeyFileError;
 use crate::field::MAX_STATIONS;
+use crate::rust_source::Role;
 
 /// The header of all packages that the keys of a file seal. Under one key, the two headers would use nonces
 /// twice.
@@ -58,8 +59,8 @@ const MAX_OLD_ID: u32 = 15;
 /// Keys that were published: anybody can look them up.
 ///
 /// Those of Keys.mk.example and of the constants before it. Those in tests and defaults of SMACCMPilot and
-/// its successor. Those of the example in this package's documentation.
-const PUBLISHED: [[u8; 16]; 6] = [
+/// its successor. Those of the examples in the documentation of this package and of `mavlink-commsec`.
+const PUBLISHED: [[u8; 16]; 9] = [
     [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
     [15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0],
     [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16],
@@ -68,6 +69,9 @@ const PUBLISHED: [[u8; 16]; 6] = [
     ],
     0xb5cc_1a3e_8f8d_5a6c_01f2_d8c3_7b0e_94aa_u128.to_be_bytes(),
     0x7d0f_6a1b_e4c2_9358_08de_17ab_4f5c_6e22_u128.to_be_bytes(),
+    *b"16 random bytes.",
+    *b"16 other bytes..",
+    *b"another 16 bytes",
 ];
 
 /// What is allowed although a link in use must not have it. By default nothing.
@@ -77,6 +81,9 @@ pub struct Exceptions {
     pub published_keys: bool,
     /// One key for several stations, as SMACCMPilot has it: each can speak as the others.
     pub shared_station_keys: bool,
+    /// Files that group or others have access to, as on a file system without permissions. Only
+    /// [`KeyFile::read`] looks, and only on Unix.
+    pub exposed_file: bool,
 }
 
 /// A vehicle or a ground station: who it is, and what it seals with. [`Debug`] shows the id alone. The key
@@ -148,10 +155,23 @@ impl KeyFile {
     ///
     /// # Errors
     ///
-    /// [`KeyFileError::Io`], or [`KeyFileError::Content`] with whatever is wrong first.
+    /// [`KeyFileError::Io`], [`KeyFileError::Exposed`], or [`KeyFileError::Content`] with whatever is wrong
+    /// first.
     pub fn read(path: &Path, exceptions: Exceptions) -> Result<Self, KeyFileError> {
-        let text = fs::read_to_string(path).map_err(|error| io_error(path, error))?;
-        let text = Zeroizing::new(text);
+        let fault = |error| io_error(path, error);
+        let mut file = File::open(path).map_err(fault)?;
+        let about = file.metadata().map_err(fault)?;
+        // Of the file that is open: nobody can put another in its place in between.
+        if !exceptions.exposed_file
+            && let Some(mode) = exposed(&about)
+        {
+            let path = path.to_owned();
+            return Err(KeyFileError::Exposed { path, mode });
+        }
+        // Room for all of it, so that no copy is left behind where it would have to grow.
+        let room = usize::try_from(about.len()).unwrap_or(0).saturating_add(1);
+        let mut text = Zeroizing::new(String::with_capacity(room));
+        file.read_to_string(&mut text).map_err(fault)?;
         let read = if is_keys_mk(path) {
             Self::from_keys_mk(&text, exceptions)
         } else {
@@ -327,19 +347,51 @@ impl KeyFile {
         if is_keys_mk(path) {
             return Err(KeyFileError::NameOfKeysMk);
         }
-        let mut options = OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let mut file = options.open(path).map_err(|error| io_error(path, error))?;
-        let written = file.write_all(self.to_toml().as_bytes());
-        let written = written.and_then(|()| file.sync_all());
-        written.map_err(|error| {
-            // Of two errors the first one is returned.
-            let _ = fs::remove_file(path);
-            io_error(path, error)
-        })
+        write_new(path, &self.to_toml())
     }
+
+    /// Writes [`to_rust_source`](Self::to_rust_source) to `path`, for its owner alone to read: for build
+    /// scripts. What an earlier build left there is removed first, whoever could read it.
+    ///
+    /// # Errors
+    ///
+    /// [`KeyFileError::NoStation`], [`KeyFileError::Io`].
+    pub fn write_rust_source(&self, who: Role, path: &Path) -> Result<(), KeyFileError> {
+        let source = self.to_rust_source(who)?;
+        match fs::remove_file(path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(io_error(path, error)),
+            _ => write_new(path, &source),
+        }
+    }
+}
+
+/// Writes a file that was not there, for its owner alone to read from its first moment.
+fn write_new(path: &Path, text: &str) -> Result<(), KeyFileError> {
+    let mut options = OpenOptions::new();
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let mut file = options.open(path).map_err(|error| io_error(path, error))?;
+    let written = file.write_all(text.as_bytes());
+    let written = written.and_then(|()| file.sync_all());
+    written.map_err(|error| {
+        // Of two errors the first one is returned.
+        let _ = fs::remove_file(path);
+        io_error(path, error)
+    })
+}
+
+/// The permissions of a file, if any of them is for group or others: who may write it chooses the keys.
+#[cfg(unix)]
+fn exposed(about: &fs::Metadata) -> Option<u32> {
+    let mode = std::os::unix::fs::MetadataExt::mode(about) & 0o7777;
+    Some(mode).filter(|mode| mode & 0o077 != 0)
+}
+
+/// Nothing is known of other systems' permissions.
+#[cfg(not(unix))]
+const fn exposed(_: &fs::Metadata) -> Option<u32> {
+    None
 }
 
 /// Whether the file has the name of one for make.

@@ -36,6 +36,18 @@ fn a_file_is_made_and_checked() {
     }
     let checked = run(folder.path(), &["mine.toml", "--check"]);
     assert_eq!(text(&checked.stdout), about);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).expect("my file");
+        let checked = run(folder.path(), &["mine.toml", "--check"]);
+        assert!(!checked.status.success());
+        let said =
+            "error: mine.toml: mode 0640 lets others than its owner in: `chmod 600` mends it\n";
+        assert_eq!(text(&checked.stderr), said);
+        let checked = run(folder.path(), &["mine.toml", "--check", "--exposed-file"]);
+        assert_eq!(text(&checked.stdout), about);
+    }
 }
 
 #[test]
@@ -43,7 +55,7 @@ fn a_file_that_is_there_is_kept_and_named_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("keys.toml");
     fs::write(&path, "mine").expect("written");
-    for arguments in [&[][..], &["--check"]] {
+    for arguments in [&[][..], &["--check", "--exposed-file"]] {
         let output = run(folder.path(), arguments);
         assert!(!output.status.success());
         let said = text(&output.stderr);

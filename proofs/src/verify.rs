@@ -54,7 +54,14 @@ pub fn accepted_iff<P: Profile>(
     expected
 }
 
-/// V1: a key is taken if and only if it is not zeros alone.
+/// SHA-256 of nothing, as FIPS 180-4's examples and everybody's tables have it: two halves of it.
+const OF_NO_PASSPHRASE: [u128; 2] = [
+    0xe3b0_c442_98fc_1c14_9afb_f4c8_996f_b924,
+    0x27ae_41e4_649b_934c_a495_991b_7852_b855,
+];
+
+/// V1: a key is taken if and only if it is neither zeros alone, nor 0xFF alone, nor that of the empty pass-phrase; the
+/// error names which.
 ///
 /// # Panics
 ///
@@ -62,8 +69,17 @@ pub fn accepted_iff<P: Profile>(
 #[must_use]
 pub fn key_is_taken<P: Profile>(secret: &[u8; KEY_SIZE]) -> Option<SigningKey<P>> {
     let key = SigningKey::new(secret);
-    let zeros = secret.iter().all(|byte| *byte == 0);
-    assert_eq!(key.as_ref().err(), zeros.then_some(&KeyError::AllZero));
+    let halves = [0, KEY_SIZE / 2].map(|at| {
+        let half = secret[at..].first_chunk().expect("16 bytes");
+        u128::from_be_bytes(*half)
+    });
+    let expected = match halves {
+        [0, 0] => Some(KeyError::AllZero),
+        [u128::MAX, u128::MAX] => Some(KeyError::Erased),
+        OF_NO_PASSPHRASE => Some(KeyError::EmptyPassphrase),
+        _ => None,
+    };
+    assert_eq!(key.as_ref().err(), expected.as_ref());
     key.ok()
 }
 
@@ -118,7 +134,7 @@ mod tests {
     use crate::model::HEARTBEAT;
     use crate::model::Witness;
     use mavlink_signing::crc::checksum;
-    use mavlink_signing::{Frame, Hmac, Stamp, Window, sign_frame};
+    use mavlink_signing::{Frame, Hmac, Stamp, Window, passphrase_key, sign_frame};
     use proptest::prelude::*;
 
     const KEY: [u8; 32] = [7; 32];
@@ -194,12 +210,14 @@ mod tests {
 
     #[test]
     fn v1_keys() {
-        assert!(key_is_taken::<Hmac>(&[0; KEY_SIZE]).is_none());
-        for place in 0..KEY_SIZE {
-            for bit in 0..8 {
-                let mut secret = [0; KEY_SIZE];
-                secret[place] = 1 << bit;
-                assert!(key_is_taken::<Hmac>(&secret).is_some());
+        for none in [[0; KEY_SIZE], [0xFF; KEY_SIZE], passphrase_key("")] {
+            assert!(key_is_taken::<Hmac>(&none).is_none());
+            for place in 0..KEY_SIZE {
+                for bit in 0..8 {
+                    let mut secret = none;
+                    secret[place] ^= 1 << bit;
+                    assert!(key_is_taken::<Hmac>(&secret).is_some());
+                }
             }
         }
     }

@@ -1,12 +1,6 @@
 //! `cargo xtask fuzz`: loops over `cargo fuzz`.
 
-use std::{
-    collections::BTreeMap,
-    fs,
-    path::Path,
-    process::{Command, Stdio},
-    sync::Mutex,
-};
+use std::{collections::BTreeMap, fs, path::Path, process::Command};
 
 use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
@@ -15,8 +9,8 @@ use serde::{Deserialize, Serialize};
 use crate::{
     mutants::{Mutant, Outcome, each},
     setup::{root, target_dir},
-    sources::{Sources, find, find_all, lock, share},
-    test::not_run,
+    sources::{Sources, find, find_all, share},
+    test::{NOT_RUN, not_run},
 };
 
 /// No sanitizer: the cores forbid `unsafe`, it halves the speed, and needs a nightly compiler; ClusterFuzzLite runs
@@ -24,25 +18,28 @@ use crate::{
 const FLAGS: &str = "--sanitizer=none --release --no-trace-compares";
 /// For the engine. The longest input has this many bytes, and may take this many seconds.
 const ENGINE: &str = "-max_len=2000 -timeout=10 -dict=fuzz/mavlink.dict -print_final_stats=1";
-/// Gets what is needed, where there is none.
+/// Gets what is needed, where there is none. `cargo fuzz` knows no `--locked`: where Cargo.lock does not fit, this fails.
 const NEEDS: &str = r#"
-c++ --version > /dev/null || { echo 'no C++ compiler: sudo apt-get install g++'; exit 1; }
+cargo tree --locked --manifest-path fuzz/Cargo.toml > /dev/null
+c++ --version > /dev/null || { echo 'no C++ compiler: sudo apt-get install g++'; exit 77; }
 install='cargo install --locked cargo-fuzz@0.13.2'
-cargo-fuzz --version > /dev/null || { echo "$install takes a minute" >&2; $install; } || { echo "$install"; exit 1; }
+cargo-fuzz --version > /dev/null || { echo "$install takes a minute"; $install; } || exit 77
 "#;
 /// Runs $TARGETS over committed inputs, with counters in the code; nine tenths of the cores' lines must be reached.
+/// The programs that read the counters come with the compiler.
 const COVERAGE: &str = r#"
 libraries=$(dirname $(rustc --print target-libdir))
-ls $libraries/bin/llvm-cov > /dev/null || { echo 'rustup component add llvm-tools'; exit 1; }
+ls $libraries/bin/llvm-cov > /dev/null || rustup component add llvm-tools || exit 77
+mkdir -p target/coverage
 for target in $TARGETS; do
     echo $target
-    cargo fuzz coverage --sanitizer none --target-dir target/coverage $target > target/coverage.log 2>&1
+    cargo fuzz coverage --sanitizer none --target-dir $PWD/target/coverage $target > target/coverage.log 2>&1
     profiles="$profiles fuzz/coverage/$target/coverage.profdata"
     objects="$objects -object target/coverage/$(basename $libraries)/release/$target"
 done
 $libraries/bin/llvm-profdata merge -sparse $profiles -o target/coverage/profdata
 cores='mavlink/src commsec/src store/src relay/src'
-$libraries/bin/llvm-cov report -instr-profile target/coverage/profdata $objects $cores > target/coverage.txt
+$libraries/bin/llvm-cov report -instr-profile target/coverage/profdata $objects -sources $cores > target/coverage.txt
 awk '{ print } /^TOTAL/ { lines = $10 } END { exit lines + 0 < 90 }' target/coverage.txt
 "#;
 
@@ -89,24 +86,11 @@ pub(crate) struct Run {
 /// # Errors
 /// If something is missing, a target fails, or a mutant is not found.
 pub(crate) fn run(options: &Options) -> Result<()> {
-    let mut needs = Command::new("sh");
-    let needs = needs
-        .args(["-ec", NEEDS])
-        .stderr(Stdio::inherit())
-        .output()?;
-    if !needs.status.success() {
-        not_run(&String::from_utf8_lossy(&needs.stdout));
-    }
+    shell(NEEDS, "")?;
     let (only, jobs) = (&options.only, options.jobs);
     match options.command {
         Action::Smoke => all(&root().canonicalize()?, options, 4, None),
-        Action::Coverage => {
-            let mut shell = Command::new("sh");
-            shell.current_dir(root()).args(["-ec", COVERAGE]);
-            shell.env("TARGETS", targets(&root(), only)?.join(" "));
-            ensure!(shell.status()?.success(), "see target/coverage.log");
-            Ok(())
-        }
+        Action::Coverage => shell(COVERAGE, &targets(&root(), only)?.join(" ")),
         Action::Campaign => {
             let sources = Sources::now()?;
             let tree = sources.worktree(0)?;
@@ -133,6 +117,21 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     }
 }
 
+/// Runs a script in the project's folder, with `targets` as $TARGETS.
+fn shell(script: &str, targets: &str) -> Result<()> {
+    let mut shell = Command::new("sh");
+    shell.current_dir(root()).args(["-ec", script]);
+    let status = shell.env("TARGETS", targets).status()?;
+    if status.code() == Some(NOT_RUN) {
+        not_run("something is missing, see above");
+    }
+    ensure!(
+        status.success(),
+        "{status}; builds are told of in target/coverage.log"
+    );
+    Ok(())
+}
+
 /// `cargo fuzz` in a copy of the sources, with these words.
 fn cargo_fuzz(tree: &Path, words: &str) -> Command {
     let mut cargo = Command::new("cargo");
@@ -155,20 +154,16 @@ fn all(tree: &Path, options: &Options, seconds: u64, sources: Option<&Sources>) 
     println!("building targets, then {seconds} s for each");
     let status = cargo_fuzz(tree, &format!("build {FLAGS}")).status()?;
     ensure!(status.success(), "the targets were not built");
-    let failed = Mutex::new(Vec::new());
-    share(options.jobs, targets, |_, target| {
+    let failed = share(options.jobs, targets, |_, target| {
         let run = one(tree, &target, "corpus", seconds)?;
         let (executions, edges, finding) = (run.executions, run.edges, &run.finding);
         println!("{target}: {executions} executions, {edges} edges {finding}");
         if let Some(sources) = sources {
             sources.record("campaign", &target, &run)?;
         }
-        if !finding.is_empty() {
-            lock(&failed).push(target);
-        }
-        Ok(())
+        Ok((!finding.is_empty()).then_some(target))
     })?;
-    let failed = lock(&failed);
+    let failed: Vec<_> = failed.into_iter().flatten().collect();
     ensure!(failed.is_empty(), "found something: {failed:?}");
     Ok(())
 }

@@ -4,7 +4,6 @@ use std::{
     collections::{BTreeMap, BTreeSet},
     fs,
     path::Path,
-    sync::Mutex,
 };
 
 use anyhow::{Context, Result, bail, ensure};
@@ -12,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     proofs::id_of,
-    sources::{Sources, lock, share, text},
+    sources::{Sources, share, text},
 };
 
 /// A change that breaks the code.
@@ -105,7 +104,6 @@ pub(crate) fn each(
     jobs: usize,
     attempt: impl Fn(&Mutant, &Path) -> Result<BTreeMap<String, Outcome>> + Sync,
 ) -> Result<()> {
-    let faults = Mutex::new(BTreeSet::new());
     let one = |worker, mutant: Mutant| {
         let tree = sources.worktree(worker)?;
         let path = tree.join(&mutant.file);
@@ -115,25 +113,21 @@ pub(crate) fn each(
         fs::write(&path, before)?;
         let outcomes = outcomes.with_context(|| mutant.name.clone())?;
         println!("{}: {outcomes:?}", mutant.name);
+        sources.record(results, &mutant.name, &outcomes)?;
         let expected = mutant.control.as_ref().unwrap_or(&Outcome::Caught);
         let as_expected = |what: &Outcome| what == expected || *what == Outcome::KaniNotRun;
-        if outcomes.is_empty() || !outcomes.values().all(as_expected) {
-            lock(&faults).insert(mutant.name.clone());
-        }
-        sources.record(results, &mutant.name, &outcomes)
+        let right = !outcomes.is_empty() && outcomes.values().all(as_expected);
+        Ok((!right).then_some(mutant.name))
     };
-    let (controls, mutants): (Vec<_>, Vec<_>) = mutants
-        .into_iter()
-        .partition(|mutant| mutant.control.is_some());
-    share(jobs, controls, one)?;
-    let wrong = lock(&faults).clone();
-    ensure!(
-        wrong.is_empty(),
-        "the run is void, these controls are wrong: {wrong:?}"
-    );
-    share(jobs, mutants, one)?;
-    let wrong = lock(&faults).clone();
-    ensure!(wrong.is_empty(), "not caught by all that should: {wrong:?}");
+    let (controls, mutants) = mutants.into_iter().partition(|it| it.control.is_some());
+    for (mutants, fault) in [
+        (controls, "the run is void, these controls are wrong"),
+        (mutants, "not caught by all that should"),
+    ] {
+        let wrong = share(jobs, mutants, one)?;
+        let wrong: BTreeSet<_> = wrong.into_iter().flatten().collect();
+        ensure!(wrong.is_empty(), "{fault}: {wrong:?}");
+    }
     Ok(())
 }
 
@@ -150,9 +144,15 @@ mod tests {
 
     /// All sources of the properties, one after the other.
     fn proofs() -> String {
-        let files = fs::read_dir(root().join("proofs/src")).expect("proofs/src");
-        let files = files.map(|file| fs::read_to_string(file.expect("a file").path()));
-        files.collect::<Result<Vec<_>, _>>().expect("text").concat()
+        fn texts(path: &Path) -> String {
+            let Ok(folder) = fs::read_dir(path) else {
+                return fs::read_to_string(path).expect("text");
+            };
+            folder
+                .map(|it| texts(&it.expect("a file").path()))
+                .collect()
+        }
+        texts(&root().join("proofs/src"))
     }
 
     /// The names of the functions behind `#[ATTRIBUTE]`.

@@ -6,15 +6,14 @@ mod mutants;
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
-    sync::Mutex,
+    sync::atomic::{AtomicUsize, Ordering},
 };
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use regex::Regex;
 
 use crate::{
-    sources::{Sources, lock, share, text},
+    sources::{Sources, find_all, share, text},
     test::not_run,
 };
 use kani::Proof;
@@ -81,19 +80,17 @@ pub(crate) fn run(options: &Options) -> Result<()> {
 
 /// Runs harnesses, given by their names and paths, keeps and prints the results.
 fn prove(sources: &Sources, harnesses: BTreeMap<String, String>, jobs: usize) -> Result<()> {
-    let of = harnesses.len();
-    let proofs = Mutex::new(BTreeMap::new());
+    let (of, done) = (harnesses.len(), AtomicUsize::new(1));
     let one = |worker, (name, path): (String, String)| {
         let log = sources.results.join(format!("logs/{name}.log"));
         let proof = kani::prove(&sources.worktree(worker)?, &path, &log)?;
         sources.record(RESULTS, &name, &proof)?;
-        let mut proofs = lock(&proofs);
-        println!("[{}/{of}] {}", proofs.len() + 1, row(&name, &proof));
-        proofs.insert(name, proof);
-        Ok(())
+        let number = done.fetch_add(1, Ordering::Relaxed);
+        println!("[{number}/{of}] {}", row(&name, &proof));
+        Ok((name, proof))
     };
-    share(jobs.min(of), harnesses.into_iter().collect(), one)?;
-    let proofs = lock(&proofs);
+    let proofs = share(jobs.min(of), harnesses.into_iter().collect(), one)?;
+    let proofs = proofs.into_iter().collect();
     println!("{}", table(&proofs));
     let failed = proofs.iter().filter(|(_, proof)| !proof.verified());
     let failed: Vec<_> = failed.map(|(name, _)| name).collect();
@@ -104,10 +101,7 @@ fn prove(sources: &Sources, harnesses: BTreeMap<String, String>, jobs: usize) ->
 /// A table of `proofs`, in Markdown.
 pub(crate) fn table(proofs: &BTreeMap<String, Proof>) -> String {
     let head = "| harness | verdict | covers | checks | solver | time | memory |";
-    let rows: Vec<_> = proofs
-        .iter()
-        .map(|(name, proof)| row(name, proof))
-        .collect();
+    let rows: Vec<_> = proofs.iter().map(|(name, it)| row(name, it)).collect();
     format!("{head}\n|---|---|---|---|---|---|---|\n{}", rows.join("\n"))
 }
 
@@ -120,12 +114,11 @@ fn row(name: &str, proof: &Proof) -> String {
 
 /// The ids of the properties: the first cells in the table of verification.md.
 pub(crate) fn ids(tree: &Path) -> Result<BTreeSet<String>> {
-    let row = Regex::new(r"(?m)^\| \*\*([A-Z]\d)\*\* \|")?;
-    let page = text(tree, "verification.md")?;
-    Ok(row
-        .captures_iter(&page)
-        .map(|row| row[1].to_owned())
-        .collect())
+    let ids = find_all(
+        r"(?m)^\| \*\*([A-Z]\d)\*\* \|",
+        &text(tree, "verification.md")?,
+    );
+    Ok(ids.into_iter().collect())
 }
 
 /// The property of a harness or property test: `w1_parse_any` belongs to `W1`.

@@ -4,7 +4,7 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::{Mutex, PoisonError},
 };
 
 use anyhow::{Context, Result};
@@ -57,19 +57,15 @@ impl Sources {
     pub(crate) fn worktree(&self, number: usize) -> Result<PathBuf> {
         // One at a time: git locks its list of them.
         static MAKING: Mutex<()> = Mutex::new(());
-        let _making = lock(&MAKING);
+        let _making = MAKING.lock().unwrap_or_else(PoisonError::into_inner);
         let sh = Shell::new()?;
         sh.change_dir(root());
-        let (commit, path) = (
-            &self.commit,
-            self.target.join(format!("worktrees/{number}")),
-        );
+        let commit = &self.commit;
+        let path = self.target.join(format!("worktrees/{number}"));
         if !path.join(".git").exists() {
             cmd!(sh, "git worktree prune").quiet().run()?;
-            let add = cmd!(
-                sh,
-                "git worktree add --quiet --force --detach {path} {commit}"
-            );
+            let add = ["--quiet", "--force", "--detach"];
+            let add = cmd!(sh, "git worktree add {add...} {path} {commit}");
             add.quiet().run()?;
         }
         sh.change_dir(&path);
@@ -107,22 +103,18 @@ impl Sources {
 /// Has `jobs` workers, numbered from 0, do `work` on `items`; all of them, also after an error.
 ///
 /// # Errors
-/// One of those of `work`.
-pub(crate) fn share<T: Send>(
+/// The first of those of `work`.
+pub(crate) fn share<T: Send, R: Send>(
     jobs: usize,
     items: Vec<T>,
-    work: impl Fn(usize, T) -> Result<()> + Sync,
-) -> Result<()> {
+    work: impl Fn(usize, T) -> Result<R> + Sync,
+) -> Result<Vec<R>> {
     let pool = ThreadPoolBuilder::new().num_threads(jobs).build()?;
     // One item at a time, as some take a second and others an hour.
     let items = items.into_par_iter().with_max_len(1);
     let work = |item| work(current_thread_index().unwrap_or(0), item);
-    pool.install(|| items.map(work).reduce(|| Ok(()), Result::and))
-}
-
-/// What a mutex holds, also after a panic.
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+    let done: Vec<_> = pool.install(|| items.map(work).collect());
+    done.into_iter().collect()
 }
 
 /// Today in UTC, as in 2026-01-31.
@@ -137,20 +129,16 @@ pub(crate) fn today() -> Result<String> {
 /// What the group of a regular expression matches in `text`, each time; the same again in a row counts once.
 pub(crate) fn find_all(pattern: &str, text: &str) -> Vec<String> {
     let pattern = Regex::new(pattern).expect("a pattern");
-    let mut all: Vec<_> = pattern
-        .captures_iter(text)
-        .map(|found| found[1].to_owned())
-        .collect();
+    let found = pattern.captures_iter(text);
+    let mut all: Vec<_> = found.map(|found| found[1].to_owned()).collect();
     all.dedup();
     all
 }
 
 /// The first that [`find_all`] finds, or nothing.
 pub(crate) fn find(pattern: &str, text: &str) -> String {
-    find_all(pattern, text)
-        .into_iter()
-        .next()
-        .unwrap_or_default()
+    let all = find_all(pattern, text);
+    all.into_iter().next().unwrap_or_default()
 }
 
 /// The text of a file of the project.

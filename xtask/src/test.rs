@@ -23,8 +23,10 @@ const CORE_TARGETS: [&str; 3] = [
     "riscv32imc-unknown-none-elf",
 ];
 const CORES: &str = "-p mavlink-signing -p mavlink-commsec -p mavseal-store -p mavseal-relay";
+/// The folders of all workspaces.
+const FOLDERS: &str = ". chips chips/examples/embassy fuzz interop";
 /// The status of a command for which something is missing, as automake's tests have it.
-const NOT_RUN: i32 = 77;
+pub(crate) const NOT_RUN: i32 = 77;
 /// How often a step that is still running says so.
 const HEARTBEAT: Duration = Duration::from_secs(20);
 
@@ -33,13 +35,26 @@ const HEARTBEAT: Duration = Duration::from_secs(20);
 const STEPS: &str = r#"
 formatting
 cargo fmt --version || rustup component add rustfmt
-for folder in . chips chips/examples/embassy fuzz interop; do (cd $folder && cargo fmt --all --check); done
+for folder in $FOLDERS; do (cd $folder && cargo fmt --all --check); done
 
 lints
 cargo clippy --version || rustup component add clippy
 cargo clippy --quiet --locked --workspace --all-targets --features mavseal-keys/cli,mavseal-relay/std -- -D warnings
 cargo clippy --quiet --locked $CORES --features defmt -- -D warnings
 (cd fuzz && cargo clippy --quiet --locked --no-default-features --all-targets -- -D warnings)
+
+licences, versions and origins of dependencies
+cargo deny --version || exit 77
+for folder in $FOLDERS; do
+    cargo deny --locked --manifest-path $folder/Cargo.toml --config $PWD/deny.toml check bans licenses sources
+done
+
+known weaknesses of dependencies
+# The list of them is on GitHub.
+cargo deny --version && cargo deny fetch db || exit 77
+for folder in $FOLDERS; do
+    cargo deny --locked --manifest-path $folder/Cargo.toml --config $PWD/deny.toml check --disable-fetch advisories
+done
 
 documentation
 RUSTDOCFLAGS='-D warnings' cargo doc --quiet --locked --workspace --no-deps
@@ -88,7 +103,7 @@ any two power cuts while the marks of a sealed link are provisioned
 cargo test --quiet --locked --release -p mavseal-relay --test sealed_marks -- --ignored
 
 mutants of the cores
-cargo mutants --version || cargo install --locked cargo-mutants
+cargo mutants --version || cargo install --locked cargo-mutants@27.1.0
 mkdir -p $RESULTS/cores $RESULTS/tables
 # 3: the tests did not end, which is noticed too.
 cargo mutants --output $RESULTS/cores || [ $? -eq 3 ]
@@ -162,6 +177,7 @@ impl Checks {
                 shell.current_dir(root()).args(["-exc", script]);
                 shell
                     .env("CORES", CORES)
+                    .env("FOLDERS", FOLDERS)
                     .env("TARGETS", CORE_TARGETS.join(" "));
                 shell.env("RESULTS", &results).env(KEYS_VARIABLE, &keys);
                 let status = shell.status()?;

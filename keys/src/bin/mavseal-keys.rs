@@ -30,6 +30,9 @@ struct Options {
     /// With --check: let several stations have one key
     #[arg(long, requires = "check")]
     shared_station_keys: bool,
+    /// With --check: let the file pass although group or others have access to it
+    #[arg(long, requires = "check")]
+    exposed_file: bool,
 }
 
 fn header(name: &str) -> Result<HeaderKind, String> {
@@ -56,6 +59,7 @@ fn run(options: &Options) -> Result<KeyFile, KeyFileError> {
         let exceptions = Exceptions {
             published_keys: options.published_keys,
             shared_station_keys: options.shared_station_keys,
+            exposed_file: options.exposed_file,
         };
         return KeyFile::read(&options.path, exceptions);
     }

@@ -1,6 +1,9 @@
 //! The key file: read, rejected, made, and turned into constants.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use mavseal_keys::{Exceptions, HeaderKind, KeyFile, KeyFileError, MAX_STATIONS, Role, SenderKeys};
 
@@ -13,6 +16,7 @@ const TOML: &str = include_str!("two_stations.toml");
 const PUBLISHED: Exceptions = Exceptions {
     published_keys: true,
     shared_station_keys: false,
+    exposed_file: false,
 };
 
 fn toml(text: &str) -> Result<KeyFile, KeyFileError> {
@@ -66,6 +70,10 @@ fn published_keys_are_rejected() {
         "1817161514131211100f0e0d0c0b0a09",
         "7d0f6a1be4c2935808de17ab4f5c6e22",
         "b5cc1a3e8f8d5a6c01f2d8c37b0e94aa",
+        // Those of commsec/README.md, which are text.
+        "31362072616e646f6d2062797465732e",
+        "3136206f746865722062797465732e2e",
+        "616e6f74686572203136206279746573",
     ] {
         let text = TOML.replace("8e1f7b2ce4c2935808de17ab4f5c6e22", first);
         assert!(matches!(toml(&text), Err(KeyFileError::Published(1))));
@@ -383,6 +391,80 @@ fn fresh_keys() {
     }
 }
 
+/// Does nothing where there are no modes.
+fn set_mode(path: &Path, mode: u32) {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        fs::set_permissions(path, fs::Permissions::from_mode(mode)).expect("my file");
+    }
+    let _ = (path, mode);
+}
+
+/// A file that anybody else may read or write is not read: it says so, and how to mend it.
+#[cfg(unix)]
+#[test]
+fn files_that_others_may_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("keys.toml");
+    let file = KeyFile::generate(1).expect("random bytes");
+    file.write_new(&path).expect("written");
+    let exposed_file = Exceptions {
+        exposed_file: true,
+        ..Exceptions::default()
+    };
+    for mode in [0o640, 0o604, 0o620, 0o602, 0o610, 0o644, 0o4604] {
+        set_mode(&path, mode);
+        let read = KeyFile::read(&path, Exceptions::default());
+        assert!(matches!(&read, Err(KeyFileError::Exposed { mode: m, .. }) if *m == mode));
+        let said = fault(read);
+        assert!(
+            said.contains(&format!("keys.toml: mode {mode:04o} ")),
+            "{said}"
+        );
+        assert!(said.contains("chmod 600"), "{said}");
+        let read = KeyFile::read(&path, exposed_file);
+        assert_eq!(read.expect("a key file"), file);
+    }
+    for mode in [0o600, 0o400, 0o700] {
+        set_mode(&path, mode);
+        assert!(KeyFile::read(&path, Exceptions::default()).is_ok());
+    }
+    // The file counts, not what leads to it.
+    let link = folder.path().join("link.toml");
+    std::os::unix::fs::symlink(&path, &link).expect("a link");
+    assert!(KeyFile::read(&link, Exceptions::default()).is_ok());
+    set_mode(&path, 0o644);
+    let read = KeyFile::read(&link, Exceptions::default());
+    assert!(matches!(read, Err(KeyFileError::Exposed { .. })));
+}
+
+/// What a build script writes is its owner's alone, also where an older build left what anybody can read.
+#[test]
+fn constants_are_the_owners_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("keys.rs");
+    let file = KeyFile::generate(1).expect("random bytes");
+    fs::write(&path, "of an older build").expect("written");
+    for who in [Role::Vehicle, Role::Station(1)] {
+        set_mode(&path, 0o644);
+        file.write_rust_source(who, &path).expect("written");
+        let source = file.to_rust_source(who).expect("somebody in it");
+        assert_eq!(fs::read_to_string(&path).expect("a file"), *source);
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt as _;
+            let mode = fs::metadata(&path).expect("a file").permissions().mode();
+            assert_eq!(mode & 0o777, 0o600);
+        }
+    }
+    let nobody = file.write_rust_source(Role::Station(2), &path);
+    assert!(matches!(nobody, Err(KeyFileError::NoStation(2))));
+    assert!(path.exists());
+    let no_folder = file.write_rust_source(Role::Vehicle, &path.join("keys.rs"));
+    assert!(matches!(no_folder, Err(KeyFileError::Io { .. })));
+}
+
 #[test]
 fn files() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -414,6 +496,7 @@ fn files() {
     assert!(!make.exists());
     let old: PathBuf = folder.path().join("Keys.mk");
     fs::write(&old, KEYS_MK).expect("written");
+    set_mode(&old, 0o600);
     let read = KeyFile::read(&old, PUBLISHED).expect("a key file");
     assert_eq!(read, keys_mk(KEYS_MK).expect("a key file"));
     let missing = folder.path().join("none.toml");

@@ -147,6 +147,7 @@ struct World {
 /// # Panics
 ///
 /// If a property does not hold.
+#[must_use]
 pub fn play(steps: &[Step], synced: u8, chance: u64) -> Report {
     let mut world = World::new(synced, chance);
     world.start_all();
@@ -624,7 +625,7 @@ mod tests {
         let steps = proptest::collection::vec(step(), 0..60);
         let input = (steps, 0..8_u8, any::<u64>());
         let ran = runner.run(&input, |(steps, synced, chance)| {
-            play(&steps, synced, chance);
+            let _ = play(&steps, synced, chance);
             Ok(())
         });
         if let Err(error) = ran {
