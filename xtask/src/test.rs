@@ -119,8 +119,8 @@ cargo xtask interop
 /// Options of `cargo xtask test`.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// Also what takes long or installs much: every wrong tag, 100,000 histories of a link, the mutants of the
-    /// cores, and unmodified peers
+    /// Also what takes long or installs much: every wrong tag, 100,000 histories of whole devices, any two power
+    /// cuts, the mutants of the cores, and unmodified peers
     #[arg(long)]
     all: bool,
 }
