@@ -2,7 +2,7 @@
 
 use mavlink_signing::field::HEADER_SIZE;
 use mavlink_signing::{
-    FrameRef, KeyRing, Profile, SetupSigning, SignError, Timestamp, authenticate,
+    FrameRef, KeyRing, Profile, SetupSigning, SignError, Timestamp, Window, authenticate,
 };
 use mavseal_relay::{Presence, RejectReason};
 
@@ -19,11 +19,13 @@ pub struct Before {
     pub last: Option<Timestamp>,
     /// The first timestamp of the key in use that may be accepted.
     pub floor: Timestamp,
+    /// The time, which this end knows.
+    pub now: Timestamp,
 }
 
 /// D2, one SETUP_SIGNING from any state: it is kept if and only if it is for this end, undamaged, and either presence is
-/// shown and it is not signed, or it is signed with the key in use and later than any before. A former key, or one that
-/// is only offered, is no proof, and a forged signature is none where presence is shown either. It never goes on to the
+/// shown and it is not signed, or it is signed with the key in use, within a minute of the time, not below the floor, and
+/// later than any before. A former key, or one that is only offered, is no proof, and a forged signature is none where presence is shown either. It never goes on to the
 /// link; otherwise the rejection names the first that is wrong. What is kept is what it says.
 ///
 /// `found` is the rejection, and what was kept. Returns the stamp of the last that was signed, after it.
@@ -47,8 +49,12 @@ pub fn only_with_presence_or_proof<P: Profile>(
             Err(error) => Err(error.into()),
             Ok(authentic) => {
                 let timestamp = authentic.stamp().timestamp;
-                let replayed = timestamp < before.floor || last.is_some_and(|it| timestamp <= it);
-                if replayed {
+                let window = Window::ONE_MINUTE.check(timestamp, before.now);
+                if last.is_some_and(|it| timestamp <= it) {
+                    Err(RejectReason::Replayed)
+                } else if let Err(error) = window {
+                    Err(error.into())
+                } else if timestamp < before.floor {
                     Err(RejectReason::Replayed)
                 } else {
                     last = Some(timestamp);
@@ -89,7 +95,7 @@ mod tests {
     use crate::model::HEARTBEAT;
     use mavlink_signing::{
         Frame, Header, Hmac, KeySlot, MessageId, ReplayGuard, RolloverState, SigningKey, Stamp,
-        Stamper, Window, sign_frame,
+        Stamper, sign_frame,
     };
     use mavseal_relay::{Endpoint, Event, ForwardMode, LineEvent, Relay, Senders, Side};
     use proptest::prelude::*;
@@ -148,6 +154,7 @@ mod tests {
                     presence,
                     last: None,
                     floor,
+                    now: floor,
                 },
             }
         }
@@ -271,6 +278,12 @@ mod tests {
                 !kept(presence, signed(1, FLOOR - 1)),
                 "from before a restart"
             );
+            let minute = Window::ONE_MINUTE.ahead;
+            assert!(kept(presence, signed(1, FLOOR + minute)));
+            assert!(
+                !kept(presence, signed(1, FLOOR + minute + 1)),
+                "stamped ahead"
+            );
             assert!(!kept(presence, signed(0, FLOOR)), "with a former key");
             assert!(!kept(presence, signed(2, FLOOR)), "with another");
             for other in [[2, 1], [1, 2]] {
@@ -335,9 +348,10 @@ mod verification {
             presence,
             last: kani::any::<bool>().then(any_timestamp),
             floor: *keys.signing_slot().of(&floors),
+            now: any_timestamp(),
         };
         let mut clock = Model {
-            now: any_timestamp(),
+            now: before.now,
             follows: false,
             marks: [0, 0],
             floors,
