@@ -225,6 +225,15 @@ impl<const N: usize, C: Cipher, H: HeaderFormat> Opener<N, C, H> {
         self.rows.iter().map(|row| (row.sender, row.seen.newest))
     }
 
+    /// For proofs, which unwind every search: each sender, its newest counter, [`behind`](Self::behind) and
+    /// [`passed_over`](Self::passed_over).
+    #[cfg(kani)]
+    pub fn memory(&self) -> impl Iterator<Item = (H::Id, H::Sequence, u64, u32)> {
+        self.rows
+            .iter()
+            .map(|Row { sender, seen, .. }| (*sender, seen.newest, seen.behind, seen.passed_over))
+    }
+
     /// Which of the 64 counters behind the newest of `sender` are rejected: accepted before, or at or below what it was
     /// resumed with. Bit 0 is the one directly behind. `None` if it is not permitted.
     #[must_use]

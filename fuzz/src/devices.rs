@@ -21,5 +21,5 @@ const STEPS: usize = 60;
 /// D6).
 pub fn adversary(input: Devices) {
     let steps = &input.steps[..input.steps.len().min(STEPS)];
-    play(steps, input.synced % 8, input.chance);
+    let _ = play(steps, input.synced % 8, input.chance);
 }

@@ -117,11 +117,9 @@ pub fn kept_link(input: End) {
             if lasting.keys.key(slot).is_some() {
                 let used = lasting.used(slot);
                 for last in [used.given, used.accepted].into_iter().flatten() {
-                    // All timestamps of the key are used up: there is no floor above the last one.
-                    if last == Timestamp::MAX {
-                        return;
-                    }
-                    assert!(kept.floor(slot) > last, "used before");
+                    // When all are used up there is no floor above, and none is given.
+                    let over = last == Timestamp::MAX;
+                    assert!(over || kept.floor(slot) > last, "used before");
                 }
             }
         }
@@ -275,6 +273,7 @@ impl<T: FnMut() -> u64> Run<T> {
         let authentic = lasting.keys.authenticate(frame).expect("one of its keys");
         let used = authentic.key();
         assert_eq!(used.slot, slot);
+        assert_eq!(used.former, slot != lasting.keys.signing_slot());
         let (sync, floor) = (self.kept.sync(), self.kept.floor(slot));
         let lasts = |run: &Self| run.receivers.each_ref().map(ReplayGuard::last);
         let untouched = lasts(self);

@@ -16,6 +16,8 @@ pub enum Step {
     Told(TimeSource, Timestamp),
     /// A new key begins at this timestamp.
     Begin(Timestamp),
+    /// The newest key comes again with this one.
+    Again(Timestamp),
 }
 
 /// What is known of a clock, without what it shows.
@@ -86,7 +88,8 @@ impl Known {
 ///
 /// A clock that knows the time is moved by frames towards their stamps, in all by no more than it may have drifted. A
 /// source that is not trusted moves it forward by a second in all. Nothing sets it beyond the ceiling. A new key starts
-/// it anew only if it does not know the time, and at a time that may be right; it does not know the time after that.
+/// it anew only if it does not know the time, and at a time that may be right; it does not know the time after that. The
+/// same key again takes it forward alone.
 ///
 /// # Errors
 ///
@@ -131,9 +134,15 @@ pub fn step<P: Profile>(
             }
             Ok(())
         }
-        Step::Begin(initial) => {
-            clock.begin(initial, timer);
+        Step::Begin(initial) | Step::Again(initial) => {
+            let again = matches!(step, Step::Again(_));
+            if again {
+                clock.raise(initial, timer);
+            } else {
+                clock.begin(initial, timer);
+            }
             let right = Clock::RELEASE <= initial && initial <= known.ceiling;
+            let right = right && (!again || initial > now);
             if sync == SyncState::Unsynced && right {
                 assert_eq!(clock.now(timer), initial);
                 *known = known.restarted(initial, timer, false);
@@ -278,6 +287,7 @@ mod tests {
             1 => time().prop_map(|time| Step::Told(TimeSource::Trusted, time)),
             2 => time().prop_map(|time| Step::Told(TimeSource::Bounded, time)),
             1 => time().prop_map(Step::Begin),
+            1 => time().prop_map(Step::Again),
         ]
     }
 
@@ -426,7 +436,14 @@ mod verification {
     #[kani::proof]
     #[kani::unwind(33)]
     fn d3_begin() {
-        let (_, sync) = one(any_drift(), Step::Begin(any_timestamp()), BOTH);
+        let (initial, again) = (any_timestamp(), kani::any());
+        let this = if again {
+            Step::Again(initial)
+        } else {
+            Step::Begin(initial)
+        };
+        let (_, sync) = one(any_drift(), this, BOTH);
+        kani::cover!(again, "again");
         kani::cover!(sync == SyncState::Synced, "it knows the time");
         kani::cover!(sync == SyncState::Unsynced, "it does not");
     }

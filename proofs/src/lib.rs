@@ -8,6 +8,8 @@ pub mod adversary;
 pub mod checksum;
 pub mod cipher;
 pub mod emit;
+#[cfg(test)]
+mod explore;
 pub mod framing;
 pub mod history;
 pub mod hmac;

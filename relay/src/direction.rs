@@ -7,7 +7,7 @@ use mavlink_signing::{
     AllowLink, AntiReplay, Authenticate, Frame, FrameRef, Header, KeyRing, KeySlot, LinkClock,
     MessageId, Packet, Profile, RejectUnsigned, ReplayGuard, Resync, SETUP_SIGNING, SetupSigning,
     Stamp, Stamper, Timestamp, UnsignedPolicy, Verified, VerifyError, Window, accept_unsigned,
-    authenticate, sign_frame,
+    sign_frame,
 };
 
 use crate::event::{Direction, Event, RejectReason};
@@ -69,21 +69,24 @@ struct Setup {
 }
 
 impl Setup {
-    /// A SETUP_SIGNING that is signed with the key in use, later than any before.
+    /// A SETUP_SIGNING that is signed with the key in use, as any frame that is accepted: in the window, with a mark above
+    /// it stored, and later than any before.
     fn signed<'a, P: Profile>(
         &mut self,
         frame: FrameRef<'a>,
         keys: &KeyRing<P>,
-        time: &impl LinkClock,
+        time: &mut impl LinkClock,
     ) -> Result<Verified<'a>, VerifyError> {
-        let authentic = authenticate(frame, keys.signing())?;
+        let authentic = keys.authenticate(frame)?;
+        if authentic.key().slot != keys.signing_slot() {
+            return Err(VerifyError::BadTag);
+        }
         let Stamp { link_id, timestamp } = authentic.stamp();
-        let floor = time.floor(keys.signing_slot());
-        if timestamp < floor || self.last.is_some_and(|last| timestamp <= last) {
+        if self.last.is_some_and(|last| timestamp <= last) {
             return Err(VerifyError::Replayed);
         }
-        let window = Window { past: 0, ahead: 0 };
-        let verified = ReplayGuard::new(link_id, window).admit(authentic, timestamp)?;
+        let mut once = ReplayGuard::new(link_id, Window::ONE_MINUTE);
+        let verified = time.admit(&mut once, authentic)?;
         self.last = Some(timestamp);
         Ok(verified)
     }
@@ -148,7 +151,7 @@ impl Signer {
         &mut self,
         frame: FrameRef<'_>,
         keys: &KeyRing<P>,
-        time: &impl LinkClock,
+        time: &mut impl LinkClock,
     ) -> RejectReason {
         let link_id = self.link_id();
         let Some(setup) = &mut self.setup else {
@@ -178,7 +181,7 @@ impl Signer {
     }
 
     /// Whether `header` names one of the local side's own.
-    fn knows(&mut self, header: Header) -> bool {
+    fn knows(&self, header: Header) -> bool {
         let sender = (header.system_id, header.component_id);
         match self.senders {
             Senders::Any => true,
@@ -186,11 +189,7 @@ impl Signer {
             Senders::Listed(all) => all.contains(&sender),
             Senders::FirstHeartbeat => match self.learnt {
                 Some(system_id) => sender.0 == system_id,
-                None => {
-                    let heard = header.message_id == HEARTBEAT;
-                    self.learnt = heard.then_some(sender.0);
-                    heard
-                }
+                None => header.message_id == HEARTBEAT,
             },
         }
     }
@@ -219,9 +218,12 @@ impl Signer {
         if !self.knows(frame.header()) {
             return Err(RejectReason::ForeignSender);
         }
+        let sender = frame.header().system_id;
         let mut frame = Frame::try_from(frame)?;
         let stamper = keys.signing_slot().of_mut(&mut self.stampers);
         sign_frame(&mut frame, keys.signing(), time.stamp(stamper)?)?;
+        // What is signed is undamaged.
+        self.learnt = self.learnt.or(Some(sender));
         Ok(frame)
     }
 

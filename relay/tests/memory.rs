@@ -180,7 +180,7 @@ fn after_a_restart_nothing_is_used_or_accepted_again() {
     let mut last = 0;
     for restart in 0..3 {
         if restart == 0 {
-            drop(first_start(&mut flashes, || 0));
+            let _ = first_start(&mut flashes, || 0);
         }
         let mut kept = start(&mut flashes, || 0);
         kept.update(TimeSource::Trusted, at(NOW + 5))
@@ -201,7 +201,7 @@ fn after_a_restart_nothing_is_used_or_accepted_again() {
 #[test]
 fn reservations_grow_with_the_time_since_the_restart() {
     let mut flashes = Marks::default();
-    drop(first_start(&mut flashes, || 0));
+    let _ = first_start(&mut flashes, || 0);
     for (running, ahead) in [
         (0, FIRST_RESERVATION),
         (800_000, 100_000),
@@ -221,7 +221,7 @@ fn reservations_grow_with_the_time_since_the_restart() {
 #[test]
 fn what_cannot_be_remembered_is_rejected() {
     let mut flashes = Marks::default();
-    drop(first_start(&mut flashes, || 0));
+    let _ = first_start(&mut flashes, || 0);
     flashes[0].fail(255);
     let mut kept = start(&mut flashes, || 0);
     kept.update(TimeSource::Trusted, at(NOW)).expect("ahead");

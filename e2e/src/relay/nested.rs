@@ -81,7 +81,7 @@ impl Relay {
             ),
         ] {
             let tunnel = tunnel(&inside);
-            sending.passes(Local, whole, same(&[tunnel.clone()]));
+            sending.passes(Local, whole, same(std::slice::from_ref(&tunnel)));
             let bytes = [&lost[..], &tunnel].concat();
             sending.unreadable(behind_lost, "bad checksum", vec![bytes; FEW]);
             // Like the beginning of MAVLink 1, which announces 261 bytes: they are waited for.

@@ -98,16 +98,21 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
     pub fn open<C: Cipher>(
         own: &Credential,
         peers: &[Credential; N],
-        mut sent: Place<F>,
-        mut accepted: [Place<F>; N],
+        sent: Place<F>,
+        accepted: [Place<F>; N],
     ) -> Result<Self, MarksError> {
         let fingerprints = Fingerprints::new::<C>(own, peers)?;
-        let first = look(own.id, &mut sent, fingerprints.sent())?;
+        let (sent, first) = look(own.id, sent, fingerprints.sent())?;
         let mut others = [Contents::Blank; N];
-        let places = accepted.iter_mut().zip(fingerprints.accepted());
-        for ((other, peer), (place, binding)) in others.iter_mut().zip(peers).zip(places) {
-            *other = look(peer.id, place, binding)?;
-        }
+        let mut found = others.iter_mut();
+        let bindings = fingerprints.accepted();
+        let accepted = each(peers, accepted, bindings, |id, place, binding| {
+            let (place, contents) = look(id, place, binding)?;
+            if let Some(other) = found.next() {
+                *other = contents;
+            }
+            Ok(place)
+        })?;
         let all_blank = others.iter().all(|other| *other == Contents::Blank);
         match first {
             Contents::Blank if all_blank => Err(MarksError::NotProvisioned),
@@ -135,15 +140,12 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
     pub fn provision<C: Cipher>(
         own: &Credential,
         peers: &[Credential; N],
-        mut sent: Place<F>,
-        mut accepted: [Place<F>; N],
+        sent: Place<F>,
+        accepted: [Place<F>; N],
     ) -> Result<Self, MarksError> {
         let fingerprints = Fingerprints::new::<C>(own, peers)?;
-        check_new(own.id, &mut sent, fingerprints.sent())?;
-        let places = accepted.iter_mut().zip(fingerprints.accepted());
-        for (peer, (place, binding)) in peers.iter().zip(places) {
-            check_new(peer.id, place, binding)?;
-        }
+        let sent = check_new(own.id, sent, fingerprints.sent())?;
+        let accepted = each(peers, accepted, fingerprints.accepted(), check_new)?;
         store(fingerprints, own.id, peers, sent, accepted)
     }
 }
@@ -155,22 +157,22 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
 /// As [`HighWaterMarks::provision`].
 pub fn provision_peer<F: NorFlash, C: Cipher>(
     peer: &Credential,
-    mut place: Place<F>,
+    place: Place<F>,
 ) -> Result<(), MarksError> {
     let binding = Binding::new(ACCEPTED_KIND, fingerprint::<C>(peer)?);
-    check_new(peer.id, &mut place, binding)?;
+    let place = check_new(peer.id, place, binding)?;
     provision(peer.id, place, binding, COMPLETE).map(drop)
 }
 
-/// What is in a region.
+/// What is in a region. The flash is handed back, so that all code exists for one type of it.
 fn look<F: NorFlash>(
     id: SenderId,
-    (flash, region): &mut Place<F>,
+    (flash, region): Place<F>,
     binding: Binding,
-) -> Result<Contents<MARK_SIZE>, MarksError> {
-    let opened = Journal::open(flash, *region, binding);
-    let (_, contents) = opened.map_err(|error| MarksError::Mark(id, error.into()))?;
-    Ok(contents)
+) -> Result<(Place<F>, Contents<MARK_SIZE>), MarksError> {
+    let opened = Journal::open(flash, region, binding);
+    let (journal, contents) = opened.map_err(|error| MarksError::Mark(id, error.into()))?;
+    Ok(((journal.into_flash(), region), contents))
 }
 
 /// Whether provisioning was cut here or before.
@@ -186,12 +188,14 @@ fn is_begun(contents: &Contents<MARK_SIZE>) -> bool {
 /// That no mark of this very key says that it is in use.
 fn check_new<F: NorFlash>(
     id: SenderId,
-    place: &mut Place<F>,
+    place: Place<F>,
     binding: Binding,
-) -> Result<(), MarksError> {
+) -> Result<Place<F>, MarksError> {
     match look(id, place, binding)? {
-        Contents::Record(mark) if u64::from_le_bytes(mark) > COMPLETE => Err(MarksError::InUse(id)),
-        _ => Ok(()),
+        (_, Contents::Record(mark)) if u64::from_le_bytes(mark) > COMPLETE => {
+            Err(MarksError::InUse(id))
+        }
+        (place, _) => Ok(place),
     }
 }
 
@@ -264,20 +268,20 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
     }
 }
 
-/// A mark of each peer.
-fn each<F, const N: usize>(
+/// What is made of the place of each peer's mark.
+fn each<F, T, const N: usize>(
     peers: &[Credential; N],
     places: [Place<F>; N],
     bindings: [Binding; N],
-    make: impl Fn(SenderId, Place<F>, Binding) -> Result<HighWaterMark<F>, MarksError>,
-) -> Result<[HighWaterMark<F>; N], MarksError> {
-    let mut marks = Vec::<_, N>::new();
+    mut make: impl FnMut(SenderId, Place<F>, Binding) -> Result<T, MarksError>,
+) -> Result<[T; N], MarksError> {
+    let mut made = Vec::<_, N>::new();
     for ((peer, place), binding) in peers.iter().zip(places).zip(bindings) {
-        let pushed = marks.push(make(peer.id, place, binding)?);
+        let pushed = made.push(make(peer.id, place, binding)?);
         debug_assert!(pushed.is_ok(), "there are as many");
     }
     // There is one for each place.
-    marks.into_array().map_err(|_| MarksError::NotProvisioned)
+    made.into_array().map_err(|_| MarksError::NotProvisioned)
 }
 
 /// Why there are no marks, and no end to start. By the id of the sender whose counters a mark is about.

@@ -6,22 +6,28 @@
 #![no_std]
 #![no_main]
 
+use core::cell::RefCell;
+use core::panic::PanicInfo;
+
+use cortex_m::peripheral::SCB;
+use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_executor::Spawner;
 use embassy_stm32::{
     bind_interrupts, dma,
     flash::Flash,
     mode::Async,
-    peripherals::{DMA1_CH1, DMA1_CH2, DMA1_CH3, DMA1_CH4, USART1, USART2},
+    peripherals::{DMA1_CH1, DMA1_CH2, DMA1_CH3, DMA1_CH4, IWDG, USART1, USART2},
     usart::{self, Config, RingBufferedUartRx, Uart, UartTx},
+    wdg::IndependentWatchdog,
 };
+use embassy_sync::blocking_mutex::{Mutex, raw::NoopRawMutex};
 use embassy_time::{Instant, Timer};
-use mavlink_signing::{Links, SigningKey, Standard, StreamTable, Window};
+use mavlink_signing::{KeyRing, Links, Stamper, Standard, StreamTable, Window, passphrase_key};
 use mavseal_relay::{
-    ForwardMode, LineEvent, PersistentClock, Relay,
+    Endpoint, FirstKey, ForwardMode, LineEvent, LinkFlash, LinkMemory, Relay, Side,
     adapter::embedded_io_async::{Line, run},
 };
 use mavseal_store::Region;
-use panic_halt as _;
 
 bind_interrupts!(struct Interrupts {
     USART1 => usart::InterruptHandler<USART1>;
@@ -35,18 +41,37 @@ bind_interrupts!(struct Interrupts {
 const PASSPHRASE: &str = include_str!("../../../demo/demo.passphrase");
 /// The link id of what this board signs.
 const LINK_OUT: u8 = 1;
-/// Where the mark is: the last two pages of 256 KiB of flash.
+/// Where keys and marks are: three times two pages, the last of 256 KiB of flash. Their place stays the same for good.
+const FIRST: u32 = 244 * 1024;
+const PAGE_SIZE: u32 = 2048;
 const REGION: Region = Region {
-    start: 252 * 1024,
-    page_size: 2048,
+    start: 0,
+    page_size: PAGE_SIZE,
 };
 /// Bytes that may wait for the task: 22 milliseconds of the line at 115,200 baud.
 const RING: usize = 256;
 const MICROS_PER_TICK: u64 = 10;
+/// Microseconds after which a board that hangs is reset.
+const TIMEOUT: u32 = 8_000_000;
+
+#[panic_handler]
+fn panic(_: &PanicInfo) -> ! {
+    SCB::sys_reset()
+}
+
+#[embassy_executor::task]
+async fn feed(mut watchdog: IndependentWatchdog<'static, IWDG>) {
+    watchdog.unleash();
+    loop {
+        watchdog.pet();
+        Timer::after_secs(1).await;
+    }
+}
 
 #[embassy_executor::main]
-async fn main(_spawner: Spawner) {
+async fn main(spawner: Spawner) {
     let board = embassy_stm32::init(Default::default());
+    spawner.spawn(feed(IndependentWatchdog::new(board.IWDG, TIMEOUT)).expect("spawned once"));
     let uarts = (
         Uart::new(
             board.USART1,
@@ -72,13 +97,25 @@ async fn main(_spawner: Spawner) {
     };
     let (mut local_ring, mut link_ring) = ([0; RING], [0; RING]);
 
-    let flash = Flash::new_blocking(board.FLASH);
-    let mut clock = PersistentClock::new(flash, REGION, ticks).expect("a mark");
-    let key = SigningKey::<Standard>::from_passphrase(PASSPHRASE.trim_end()).expect("a key");
-    let streams = StreamTable::<4>::resume(Links::Any, Window::ONE_MINUTE, clock.floor());
-    let stamper = clock.stamper(LINK_OUT);
-    let relay = Relay::new(key, stamper, streams, ForwardMode::StripSignature);
+    let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(Flash::new_blocking(board.FLASH)));
+    let part =
+        |index: u32| BlockingPartition::new(&flash, FIRST + index * 2 * PAGE_SIZE, 2 * PAGE_SIZE);
+    let flash = LinkFlash {
+        keys: part(0),
+        marks: [part(1), part(2)],
+        region: REGION,
+    };
+    // A board in use takes `FirstKey::None`, and is given a key of its own: `LinkMemory::provision`.
+    let key = passphrase_key(PASSPHRASE.trim_end());
+    let memory = LinkMemory::open(flash, FirstKey::Demonstration(&key), ticks);
+    let (keys, memory): (KeyRing<Standard>, _) = memory.expect("keys and marks");
+    let mut clock = memory.clock;
+    let streams = StreamTable::<4>::new(Links::Any, Window::ONE_MINUTE);
+    let stamper = Stamper::new(LINK_OUT);
+    let relay = Relay::new(keys, stamper, streams, ForwardMode::StripSignature);
     let mut relay = relay.expect("streams remember what is sent");
+    // What is on the line may have begun before the start: nothing is heard before the line was silent.
+    relay.line_event(Side::Local, LineEvent::Overrun, &mut clock, &mut |_| {});
 
     let wait_until = async |ticks: u64| {
         Timer::at(Instant::from_micros(ticks * MICROS_PER_TICK)).await;

@@ -89,7 +89,7 @@ pub(crate) fn play(image: &Image, elf: &Elf) -> Result<Machine> {
         play.lines.machine.restart();
         for station in &mut play.stations {
             // A mark is at most as far ahead of what was accepted as that is of the first.
-            station.next += station.next + RESERVED;
+            station.next = 2 * station.next + RESERVED;
         }
     }
     Ok(play.lines.machine)
