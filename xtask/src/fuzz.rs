@@ -40,7 +40,7 @@ done
 $libraries/bin/llvm-profdata merge -sparse $profiles -o target/coverage/profdata
 cores='mavlink/src commsec/src store/src relay/src'
 $libraries/bin/llvm-cov report -instr-profile target/coverage/profdata $objects -sources $cores > target/coverage.txt
-awk '{ print } /^TOTAL/ { lines = $10 } END { exit lines + 0 < 90 }' target/coverage.txt
+awk '{ print } /^TOTAL/ { lines = $10 } END { print lines " of the lines; 90% are wanted"; exit lines + 0 < 90 }' target/coverage.txt
 "#;
 
 /// Options of `cargo xtask fuzz`.
