@@ -336,12 +336,6 @@ impl<P: Profile> KeyRing<P> {
         begins.then_some(self.base.other())
     }
 
-    /// Whether there is a new key, and the other end was not heard with it yet.
-    #[must_use]
-    pub const fn is_unheard(&self) -> bool {
-        matches!(self.phase, RolloverState::Offered | RolloverState::Applied) && !self.heard
-    }
-
     /// Whether `key` is the one that was given last.
     #[must_use]
     pub fn is_newest(&self, key: &SigningKey<P>) -> bool {

@@ -62,10 +62,10 @@ pub trait LinkClock {
         Ok(initial)
     }
 
-    /// The newest key came again, with `initial` as the time. If nobody was `heard` with it yet, it begins anew there;
-    /// otherwise a clock that nobody has told the time shows it at least.
-    fn repeat_key(&mut self, initial: Timestamp, heard: bool) {
-        let _ = (initial, heard);
+    /// The newest key came again, with `initial` as the time. While the key is being changed, a clock that is not synced
+    /// begins anew there: its drift may keep the other end from hearing it. Once that is `settled`, it shows it at least.
+    fn repeat_key(&mut self, initial: Timestamp, settled: bool) {
+        let _ = (initial, settled);
     }
 
     /// Learns from a frame that was accepted.

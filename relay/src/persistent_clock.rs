@@ -299,9 +299,9 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
         Ok(first)
     }
 
-    fn repeat_key(&mut self, initial: Timestamp, heard: bool) {
+    fn repeat_key(&mut self, initial: Timestamp, settled: bool) {
         let timer = (self.timer)();
-        if heard {
+        if settled {
             self.clock.raise(initial, timer);
         } else {
             self.clock.begin(initial, timer);

@@ -4,7 +4,7 @@ use core::fmt;
 
 use mavlink_signing::{
     AntiReplay, KEY_SIZE, KeyChangeError, KeyRing, KeyStore, LinkClock, Profile, RejectUnsigned,
-    ReplayGuard, SetupSigning, Stamper, Timestamp, UnsignedPolicy,
+    ReplayGuard, RolloverState, SetupSigning, Stamper, Timestamp, UnsignedPolicy,
 };
 
 use crate::direction::{ForwardMode, Presence, Senders, Signer, Verifier};
@@ -147,8 +147,7 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
 
     /// Takes over the key of `setup`: [`KeyRing::apply`]. A new key has its own order of stamps, which begins with the
     /// `initial_timestamp`, if that may be right. A clock that nobody has told the time begins there too; with the newest
-    /// key once more, it shows it at least, and begins there as long as the other end was not heard with it. A synced
-    /// clock is not touched.
+    /// key once more too, until the change has come to its end; then it shows it at least. A synced clock is not touched.
     ///
     /// # Errors
     ///
@@ -193,7 +192,8 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Relay<P, R, U> {
             self.outbound.handler.begin_key(slot, first);
             self.inbound.handler.begin_key(slot, first);
         } else if self.keys.is_newest(&key) {
-            clock.repeat_key(initial, !self.keys.is_unheard());
+            let settled = self.keys.rollover_state() == RolloverState::Settled;
+            clock.repeat_key(initial, settled);
         }
         Ok(())
     }
