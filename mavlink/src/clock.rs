@@ -93,6 +93,8 @@ pub struct Clock {
     anchor: Timestamp,
     anchored: u64,
     ceiling: Timestamp,
+    /// The latest stamp that it has followed: it does not go back behind it.
+    latest: Timestamp,
 }
 
 impl Clock {
@@ -103,8 +105,8 @@ impl Clock {
     /// The most that peers take an unsynced clock forward, in all frames until a restart or a new key: 365 days, in
     /// ticks of 10 microseconds. A board without a clock that was off for longer needs a new key.
     ///
-    /// A clock that shows a time before [`Clock::RELEASE`] has never learnt the time, from a source or from a
-    /// frame. Its first frame is bounded by the ceiling alone.
+    /// A clock that began with a time before [`Clock::RELEASE`], and that nobody has told the time, has nothing to count
+    /// from. It is bounded by the ceiling alone: an old recording must not be what it counts from.
     pub const MAX_STEP: u64 = 365 * 24 * 3600 * TICKS_PER_SECOND;
 
     /// The beginning of 2026: before this version was made, so before any time that is right.
@@ -133,6 +135,7 @@ impl Clock {
             anchor: earliest,
             anchored: timer,
             ceiling: Self::CEILING,
+            latest: Timestamp::ZERO,
         }
     }
 
@@ -238,6 +241,11 @@ impl Clock {
         *self = Self::unsynced(time, timer).drifting(drift).until(ceiling);
     }
 
+    /// What follows is signed with another key: it may take the clock back.
+    pub const fn follow_anew(&mut self) {
+        self.latest = Timestamp::ZERO;
+    }
+
     /// How far peers can take a clock that is not synced: [`Clock::MAX_STEP`] beyond where it would be without them,
     /// and never beyond the ceiling.
     #[must_use]
@@ -266,14 +274,13 @@ impl Clock {
     pub fn on_accepted(&mut self, frame: &Verified<'_>, timer: u64) {
         let stamp = frame.stamp().timestamp;
         let now = self.now(timer);
+        self.latest = self.latest.max(stamp);
         match self.sync(timer) {
             SyncState::Unsynced => {
                 let latest = stamp.saturating_add(RESERVATION);
-                self.time = now.clamp(earlier(stamp, RESERVATION), latest);
+                let least = earlier(self.latest, RESERVATION);
+                self.time = now.clamp(earlier(stamp, RESERVATION), latest).max(least);
                 self.since = timer;
-                if self.anchor < Self::RELEASE {
-                    (self.anchor, self.anchored) = (self.time, timer);
-                }
             }
             SyncState::Synced => {
                 let drifted = timer.saturating_sub(self.set) >> self.drift;
@@ -299,7 +306,9 @@ impl Clock {
         anchor: (Timestamp, u64),
         set: (u64, bool),
         moved: [u64; 2],
+        latest: Timestamp,
     ) -> Self {
+        self.latest = latest;
         (self.anchor, self.anchored) = anchor;
         (self.set, self.synced) = set;
         [self.stepped, self.slewed] = moved;

@@ -215,20 +215,17 @@ impl Credit {
         place: 0,
     };
 
-    /// Whether there is enough for what `pending` begins like, at this `place` of the stream. If so, it is spent.
+    /// Whether there is enough for what `pending` begins like, at this `place` of the stream, which never goes back. If
+    /// so, it is spent.
     fn affords(&mut self, pending: &[u8], place: u32) -> bool {
+        let come = place.wrapping_sub(self.place);
+        let earned = self.bytes.saturating_add(come.saturating_mul(8));
+        self.bytes = earned.min(Self::FULL.bytes);
+        self.place = place;
         let size = announced_size(pending).filter(|size| *size <= pending.len());
         let (Some(&MAGIC_V1), Some(size)) = (pending.first(), size) else {
             return true;
         };
-        let end = place.wrapping_add(size as u32);
-        let come = end.wrapping_sub(self.place);
-        // Not if it ends before another that was looked at.
-        if come <= u32::MAX / 2 {
-            let earned = self.bytes.saturating_add(come.saturating_mul(8));
-            self.bytes = earned.min(Self::FULL.bytes);
-            self.place = end;
-        }
         match self.bytes.checked_sub(size as u32) {
             Some(left) => {
                 self.bytes = left;

@@ -59,7 +59,7 @@ impl KeySlot {
 pub struct KeyUse {
     /// Where it is.
     pub slot: KeySlot,
-    /// Whether another key is already in use in its place. Such a frame is accepted, and sets no clock.
+    /// Whether another key is already in use in its place, or was heard. Such a frame is accepted, and sets no clock.
     pub former: bool,
 }
 
@@ -254,7 +254,7 @@ impl<P: Profile> Authenticate for KeyRing<P> {
             Err(VerifyError::BadTag) => (slot.other(), authenticate(frame, other()?)),
             verdict => (slot, verdict),
         };
-        let former = slot == self.base && self.signing_slot() != slot;
+        let former = slot == self.base && (self.signing_slot() != slot || self.heard);
         verdict.map(|frame| frame.with_key(KeyUse { slot, former }))
     }
 

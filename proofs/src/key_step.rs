@@ -129,7 +129,7 @@ impl Before {
     /// What a frame that is signed with this key is told by; `None` if it is neither of the two.
     fn used(self, number: u8) -> Option<KeyUse> {
         if number == self.old {
-            let former = self.signs() != number;
+            let former = self.signs() != number || self.is_due();
             Some(KeyUse {
                 slot: self.base,
                 former,
@@ -229,7 +229,7 @@ pub fn one_call<P: Profile>(
         base,
         old,
         new,
-        heard: Heard::Nothing,
+        heard: if due { Heard::New } else { Heard::Nothing },
     };
     assert_eq!(signed(keys.signing())[LAST], after.signs());
     assert_eq!(keys.signing_slot(), after.signing_slot());

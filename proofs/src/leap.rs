@@ -23,7 +23,7 @@ pub enum Step {
 /// What is known of a clock, without what it shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Known {
-    /// Where it began, or was set, or learnt the time from a first frame; and what the timer showed then.
+    /// Where it began, or was set, and what the timer showed then.
     pub anchor: (Timestamp, u64),
     /// What the timer showed when it began or was set, and whether a trusted source set it.
     pub set: (u64, bool),
@@ -33,6 +33,8 @@ pub struct Known {
     pub drift: u32,
     /// Beyond which nothing sets it.
     pub ceiling: Timestamp,
+    /// The latest stamp accepted since.
+    pub latest: Timestamp,
 }
 
 impl Known {
@@ -45,6 +47,7 @@ impl Known {
             moved: [0, 0],
             drift: Clock::CRYSTAL,
             ceiling: Clock::CEILING,
+            latest: Timestamp::ZERO,
         }
     }
 
@@ -58,8 +61,8 @@ impl Known {
         }
     }
 
-    /// A year beyond where it would be by itself, nothing beyond the ceiling. A clock that shows a time before this
-    /// software was made does not know yet where it is.
+    /// A year beyond where it would be by itself, nothing beyond the ceiling. A clock that began with a time before this
+    /// software was made has nothing to count from.
     fn limit(&self, timer: u64) -> Timestamp {
         let (anchor, anchored) = self.anchor;
         if anchor < Clock::RELEASE {
@@ -75,6 +78,7 @@ impl Known {
             anchor: (time, timer),
             set: (timer, by_trusted),
             moved: [0, 0],
+            latest: Timestamp::ZERO,
             ..self
         }
     }
@@ -82,9 +86,9 @@ impl Known {
 
 /// D3, one step from any state, when the timer shows `timer`. A clock that does not know the time accepts no frame that
 /// is stamped more than the window beyond its limit; it then shows no later time than before, or than the limit and the
-/// window less a reservation. The limit, now and at any time `later`, never rises with frames; once the clock has shown a
-/// time that may be right, it does not move with them at all. So a year is what all frames together can do, until a
-/// trusted source tells the time, or a new key begins.
+/// window less a reservation, and does not go back farther than a reservation behind the latest stamp that it has accepted.
+/// The limit, now and at any time `later`, does not move with frames. So a year is what all frames together can do, until
+/// a trusted source tells the time, or a new key begins.
 ///
 /// A clock that knows the time is moved by frames towards their stamps, in all by no more than it may have drifted. A
 /// source that is not trusted moves it forward by a second in all. Nothing sets it beyond the ceiling. A new key starts
@@ -158,8 +162,7 @@ pub fn step<P: Profile>(
     let (limit, old) = (clock.limit(later), before.limit(later));
     assert_eq!(limit, known.limit(later));
     if matches!(step, Step::Frame(_) | Step::Told(TimeSource::Bounded, _)) {
-        assert!(limit <= old, "it never rises");
-        assert!(was.anchor.0 < Clock::RELEASE || limit == old);
+        assert_eq!(limit, old, "it does not move");
     }
     verdict
 }
@@ -192,19 +195,19 @@ fn hears<P: Profile>(
     let verified = verdict?;
     clock.on_accepted(&verified, timer);
     let after = clock.now(timer);
+    known.latest = known.latest.max(timestamp);
     let off = |time: Timestamp| time.ticks().abs_diff(timestamp.ticks());
     match sync {
         SyncState::Unsynced => {
-            assert!(off(after) <= RESERVATION);
-            assert!(
-                off(after) == off(now).min(RESERVATION),
-                "no farther than it must"
-            );
-            assert!(after <= now.max(limit.saturating_add(ahead - RESERVATION)));
-            let (anchor, _) = known.anchor;
-            if anchor < Clock::RELEASE {
-                known.anchor = (after, timer);
+            let least = known.latest.ticks().saturating_sub(RESERVATION);
+            assert!(after.ticks() >= least, "not back");
+            if after.ticks() > least {
+                assert_eq!(off(after), off(now).min(RESERVATION), "as near as it must");
+            } else {
+                // It would have gone back farther.
+                assert!(now.ticks() <= least || timestamp.ticks() + RESERVATION <= least);
             }
+            assert!(after <= now.max(limit.saturating_add(ahead - RESERVATION)));
         }
         SyncState::Synced => {
             let (set, _) = known.set;
@@ -342,7 +345,8 @@ mod tests {
         assert_eq!(late, Err(VerifyError::FromFuture));
     }
 
-    /// A clock that never learnt the time takes it from the first frame, below the ceiling, and is then bounded.
+    /// A clock that never learnt the time is bounded by the ceiling alone: an old recording is not what it counts from.
+    /// It does not go back to one either.
     #[test]
     fn d3_the_first_frame() {
         let mut watched = Watched::new(Timestamp::ZERO);
@@ -351,9 +355,14 @@ mod tests {
         assert_eq!(rejected, Err(VerifyError::FromFuture));
         let now = Clock::RELEASE.saturating_add(100 * DAY);
         assert_eq!(watched.step(Step::Frame(now), 0), Ok(()));
-        let next_year = now.saturating_add(366 * DAY);
-        let rejected = watched.step(Step::Frame(next_year), 1);
-        assert_eq!(rejected, Err(VerifyError::FromFuture));
+        let years_later = now.saturating_add(3 * 366 * DAY);
+        assert_eq!(watched.step(Step::Frame(years_later), 1), Ok(()));
+        assert_eq!(
+            watched.step(Step::Frame(now), 2),
+            Ok(()),
+            "of another stream"
+        );
+        assert!(watched.clock.now(2).ticks() >= years_later.ticks() - RESERVATION);
     }
 }
 
@@ -370,6 +379,7 @@ mod verification {
             moved: kani::any(),
             drift,
             ceiling: any_timestamp(),
+            latest: any_timestamp(),
         };
         let [stepped, slewed] = known.moved;
         // What counts has been counted.
@@ -377,7 +387,7 @@ mod verification {
         let clock = Clock::unsynced(any_timestamp(), kani::any())
             .drifting(known.drift)
             .until(known.ceiling)
-            .holding(known.anchor, known.set, known.moved);
+            .holding(known.anchor, known.set, known.moved, known.latest);
         (clock, known)
     }
 
@@ -394,6 +404,9 @@ mod verification {
         let (timer, later) = kani::any();
         let sync = known.sync(timer);
         kani::assume(syncs.contains(&sync));
+        // What was accepted lay below the limit and the window.
+        let most = known.limit(timer).saturating_add(Window::ONE_MINUTE.ahead);
+        kani::assume(known.latest <= most);
         let verdict = step(&key, &mut clock, &mut known, this, timer, later);
         (verdict, sync)
     }

@@ -347,7 +347,7 @@ pub fn foreign(flash: &mut Small, other: Binding) {
     assert_eq!(found.err(), Some(MarkError::Unreadable));
 }
 
-/// T2, for what is given up: after `count` records of [`OLD`], nothing of them can be read when [`NEW`] has taken
+/// T2, for what is given up: after `count` records of `OLD`, nothing of them can be read when `NEW` has taken
 /// their place; or the error says so.
 ///
 /// # Errors

@@ -130,6 +130,10 @@ impl Signer {
     pub(crate) fn begin_key(&mut self, slot: KeySlot, first: Timestamp) {
         let stamper = Stamper::resume(self.link_id(), first).in_slot(slot);
         *slot.of_mut(&mut self.stampers) = stamper;
+        // What the old key has proved says nothing of the new one.
+        if let Some(setup) = &mut self.setup {
+            setup.last = None;
+        }
     }
 
     pub(crate) fn keep_setup(&mut self, system_id: u8, component_id: u8) {

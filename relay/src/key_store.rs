@@ -189,7 +189,12 @@ impl<F: NorFlash> KeyStore for FlashKeyStore<F> {
                 return self.settle(&record);
             }
         };
-        self.journal.append(&next).map_err(|_| NotStored)
+        if self.journal.append(&next).is_ok() {
+            return Ok(());
+        }
+        // What a failed write has left must not be what the next start finds.
+        let _ = self.journal.append(&stored);
+        Err(NotStored)
     }
 }
 

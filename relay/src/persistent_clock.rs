@@ -63,8 +63,9 @@ impl core::error::Error for TimeError {}
 pub struct PersistentClock<F, T> {
     clock: Clock,
     marks: [KeyMark<F>; 2],
-    /// Where the newest key is.
+    /// Where the newest key is, and the one that the clock follows.
     newest: KeySlot,
+    followed: KeySlot,
     region: Region,
     timer: T,
     started: u64,
@@ -100,6 +101,13 @@ impl<F: NorFlash> KeyMark<F> {
     }
 }
 
+/// What the flash knows of a key that is provisioned again: it goes on there.
+fn known(flash: &mut impl NorFlash, region: Region, key: Fingerprint) -> Timestamp {
+    let mark = HighWaterMark::open(flash, region, binding(key));
+    let stored = mark.map_or(0, |mark| mark.get());
+    Timestamp::from_ticks(stored).unwrap_or(Timestamp::MAX)
+}
+
 fn binding(key: Fingerprint) -> Binding {
     Binding::new(KIND, key.0)
 }
@@ -132,7 +140,8 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         Ok(Self::with(marks, region, keys.newest_slot(), timer))
     }
 
-    /// The same for a first key, with which nothing was ever signed or accepted: whatever `flashes` hold is forgotten.
+    /// The same for a first key, with which nothing was ever signed or accepted: whatever `flashes` hold of others is
+    /// forgotten. If they know this very key, it goes on where it was.
     ///
     /// # Errors
     ///
@@ -143,18 +152,22 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
         keys: &KeyRing<P>,
         timer: T,
     ) -> Result<Self, ProvisionError> {
-        let mark = |flash, slot| -> Result<_, ProvisionError> {
-            match keys.key(slot) {
-                None => Ok(KeyMark::Unused(flash)),
-                Some(key) => {
-                    let mark =
-                        HighWaterMark::provision(flash, region, binding(key.fingerprint()), 0)?;
-                    Ok(KeyMark::Of(mark, 0))
-                }
+        let [mut a, mut b] = flashes;
+        // A key that was in use before goes on where it was, in whichever slot.
+        let first = |a: &mut F, b: &mut F, key| known(a, region, key).max(known(b, region, key));
+        let firsts = [KeySlot::A, KeySlot::B].map(|slot| {
+            let key = keys.key(slot)?.fingerprint();
+            Some((key, first(&mut a, &mut b, key).ticks()))
+        });
+        let mark = |flash, first: Option<(Fingerprint, u64)>| match first {
+            None => Ok(KeyMark::Unused(flash)),
+            Some((key, first)) => {
+                let mark = HighWaterMark::provision(flash, region, binding(key), first)?;
+                Ok::<_, ProvisionError>(KeyMark::Of(mark, first))
             }
         };
-        let [a, b] = flashes;
-        let marks = [mark(a, KeySlot::A)?, mark(b, KeySlot::B)?];
+        let [first_a, first_b] = firsts;
+        let marks = [mark(a, first_a)?, mark(b, first_b)?];
         Ok(Self::with(marks, region, keys.newest_slot(), timer))
     }
 
@@ -170,6 +183,7 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
             clock: Clock::unsynced(earliest, started),
             marks,
             newest,
+            followed: newest,
             region,
             timer,
             started,
@@ -287,11 +301,12 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
             (false, false) => Timestamp::from_ticks(used).unwrap_or(Timestamp::MAX),
         };
         let mark = slot.of_mut(&mut self.marks);
-        let flash = match mem::replace(mark, KeyMark::Failed) {
+        let mut flash = match mem::replace(mark, KeyMark::Failed) {
             KeyMark::Unused(flash) => flash,
             KeyMark::Of(mark, _) => mark.into_flash(),
             KeyMark::Failed => return Err(NotStored),
         };
+        let first = first.max(known(&mut flash, self.region, key));
         let begun = HighWaterMark::provision(flash, self.region, binding(key), first.ticks());
         *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first.ticks());
         self.newest = slot;
@@ -310,6 +325,10 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
 
     fn on_accepted(&mut self, frame: &Verified<'_>) {
         let now = (self.timer)();
+        if self.followed != frame.key().slot {
+            self.followed = frame.key().slot;
+            self.clock.follow_anew();
+        }
         self.clock.on_accepted(frame, now);
     }
 }

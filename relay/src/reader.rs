@@ -69,9 +69,8 @@ impl PacketReader {
 
     /// Takes bytes that came in at `now`, as many as there is room for.
     pub(crate) fn write(&mut self, bytes: &[u8], now: u64) -> usize {
-        // What came after a silence is heard, whether or not anybody has asked meanwhile.
-        if self.resync == Resync::Silence && !bytes.is_empty() {
-            self.poll(now, false);
+        if !bytes.is_empty() {
+            self.last = now;
         }
         let count = self.decoder.write(bytes);
         if count > 0 {
@@ -82,7 +81,6 @@ impl PacketReader {
     }
 
     fn arrived(&mut self, now: u64) {
-        self.last = now;
         if self.resync == Resync::Silence {
             return;
         }
@@ -116,8 +114,10 @@ impl PacketReader {
         self.decoder.dropped()
     }
 
-    /// What the sender has begun before `now`, it may have held back: its time begins anew.
+    /// Until `now`, what has come in was not read: the sender may have held back what it has begun, and where the place
+    /// is lost is found only now. Time begins anew, also that of a silence.
     pub(crate) fn restart_timer(&mut self, now: u64) {
+        self.last = now;
         self.arrivals.clear();
         let (begun, _) = self.decoder.begun();
         let before = self.heard.wrapping_sub(begun as u32);

@@ -336,6 +336,9 @@ impl<P: Profile, R: AntiReplay, U: UnsignedPolicy> Endpoint for Relay<P, R, U> {
                 Side::Link => Direction::Outbound,
             };
             observe(Event::Rejected(direction, RejectReason::LineClosed));
+            self.from(side.other())
+                .reader
+                .restart_timer(clock.monotonic());
             self.advance(side.other(), clock, observe);
         }
     }

@@ -281,6 +281,7 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
             Side::Link => {
                 if self.outward.line.sent(count) {
                     let now = Moment::of(clock, self.origin);
+                    self.outward.reader.restart_timer(now.ticks);
                     self.outward.advance(&mut self.radio, now, observe);
                 }
             }
@@ -311,7 +312,10 @@ impl<F: NorFlash, const N: usize, C: Cipher> Endpoint for SealedEndpoint<F, N, C
         if event == LineEvent::Closed {
             match side {
                 Side::Local => inward.drop_packets(observe),
-                Side::Link => outward.drop_frame(observe),
+                Side::Link => {
+                    outward.drop_frame(observe);
+                    outward.reader.restart_timer(now.ticks);
+                }
             }
         }
         outward.advance(radio, now, observe);

@@ -79,14 +79,18 @@ impl<F: NorFlash> Pages<F> {
         let mut highest = None;
         // For each page the place after the last that is not blank.
         let mut ends = [0; 2];
+        // Whether a page holds nothing that can be read, though something is in it.
+        let mut torn = [false; 2];
         let mut buffer = [0; MAX_RECORD_SIZE];
-        for (page, end) in (0..).zip(&mut ends) {
+        for (page, (end, torn)) in (0..).zip(ends.iter_mut().zip(&mut torn)) {
+            let mut readable = false;
             for slot in 0..self.slots {
                 let place = Place { page, slot };
                 match self.read(place, &mut buffer) {
                     Found::Blank => continue,
                     Found::Garbage => {}
                     Found::Record(read, sequence) => {
+                        readable = true;
                         if highest.is_none_or(|highest| sequence > highest) {
                             let copied = highest.is_some() && contents == read;
                             self.spare = self.newest.filter(|_| copied);
@@ -99,6 +103,7 @@ impl<F: NorFlash> Pages<F> {
                 self.used += 1;
                 *end = slot + 1;
             }
+            *torn = *end > 0 && !readable;
         }
         buffer.zeroize();
         let [first, second] = ends;
@@ -109,6 +114,13 @@ impl<F: NorFlash> Pages<F> {
             slot,
         };
         self.base = highest.unwrap_or(0).saturating_sub(newest.slot);
+        let [first, second] = torn;
+        let other_torn = if newest.page == 0 { second } else { first };
+        if other_torn && highest.is_some() {
+            // A cut may have left a record there that can be read the next time. What is stored from now on is newer: a
+            // page is begun no more than two pages ahead.
+            self.base = self.base.saturating_add(3 * self.slots);
+        }
         highest.is_some()
     }
 

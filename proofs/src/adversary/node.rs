@@ -140,6 +140,9 @@ pub(super) struct Node {
     spoiled: bool,
     started: u64,
     asked: u64,
+    /// Until when nothing leaves it on the link, and what waits in its local port meanwhile.
+    held_until: u64,
+    waiting: Vec<u8>,
     timer: Rc<Cell<u64>>,
     running: Option<Running>,
     /// Every frame that left it on the link, by stamp and key; its last stamp with each key.
@@ -163,6 +166,8 @@ impl Node {
             spoiled: false,
             started: 0,
             asked: 0,
+            held_until: 0,
+            waiting: Vec::new(),
             timer: Rc::new(Cell::new(0)),
             running: None,
             stamps: HashSet::new(),
@@ -185,6 +190,7 @@ impl Node {
 
     /// The same, where the power may fail meanwhile.
     pub(super) fn try_start(&mut self, now: u64) {
+        self.waiting.clear();
         self.started = now;
         self.asked = 0;
         self.timer = Rc::new(Cell::new(0));
@@ -310,13 +316,21 @@ impl Node {
     ) -> (Vec<u8>, Vec<u8>) {
         let (mut link, mut local) = (Vec::new(), Vec::new());
         let mut time = now;
+        let (held_until, mut waiting) = (self.held_until, std::mem::take(&mut self.waiting));
         for (pause, piece) in pieces {
             time += pause;
             let Some(Running { relay, memory }) = self.at(time) else {
                 return (link, local);
             };
             let clock = &mut memory.clock;
-            let mut rest = *piece;
+            let held = time < held_until;
+            if side == Side::Local {
+                waiting.extend_from_slice(piece);
+            }
+            // What waits in the port came before this moment.
+            let taken = relay.received(Side::Local, &waiting, clock, &mut |_| ());
+            waiting.drain(..taken);
+            let mut rest = if side == Side::Link { *piece } else { &[] };
             loop {
                 relay.poll(clock, &mut |_| ());
                 let taken = relay.received(side, rest, clock, &mut |_| ());
@@ -324,21 +338,34 @@ impl Node {
                 let mut buffer = [0; 300];
                 let mut moved = taken > 0;
                 for (side, output) in [(Side::Link, &mut link), (Side::Local, &mut local)] {
+                    if held && side == Side::Link {
+                        continue;
+                    }
                     let count = relay.transmit(side, &mut buffer, clock, &mut |_| ());
                     output.extend_from_slice(&buffer[..count]);
                     moved |= count > 0;
                 }
+                let taken = relay.received(Side::Local, &waiting, clock, &mut |_| ());
+                waiting.drain(..taken);
+                moved |= taken > 0;
                 if !moved {
-                    assert!(rest.is_empty(), "what it cannot take waits for something");
+                    let rests = rest.is_empty() && (held || waiting.is_empty());
+                    assert!(rests, "what it cannot take waits for something");
                     break;
                 }
             }
         }
+        self.waiting = waiting;
         if let (Some(fault), Some(Running { relay, memory })) = (fault, self.running.as_mut()) {
             relay.line_event(side, fault, &mut memory.clock, &mut |_| ());
         }
         self.fails();
         (link, local)
+    }
+
+    /// Nothing leaves it on the link until then.
+    pub(super) const fn hold(&mut self, until: u64) {
+        self.held_until = until;
     }
 
     /// What time may have brought.

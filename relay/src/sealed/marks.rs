@@ -144,8 +144,17 @@ impl<F: NorFlash, const N: usize> HighWaterMarks<F, N> {
         accepted: [Place<F>; N],
     ) -> Result<Self, MarksError> {
         let fingerprints = Fingerprints::new::<C>(own, peers)?;
-        let sent = check_new(own.id, sent, fingerprints.sent())?;
-        let accepted = each(peers, accepted, fingerprints.accepted(), check_new)?;
+        // In whichever place a mark is.
+        let bindings = fingerprints.accepted();
+        let check = |mut place| {
+            place = check_new(own.id, place, fingerprints.sent())?;
+            for (peer, binding) in peers.iter().zip(bindings) {
+                place = check_new(peer.id, place, binding)?;
+            }
+            Ok(place)
+        };
+        let sent = check(sent)?;
+        let accepted = each(peers, accepted, bindings, |_, place, _| check(place))?;
         store(fingerprints, own.id, peers, sent, accepted)
     }
 }

@@ -1,0 +1,227 @@
+//! Attacks without the key on what a device remembers: old recordings, marks in swapped places.
+use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use mavlink_commsec::{AesGcm, Credential, SenderId};
+use mavlink_signing::*;
+use mavseal_relay::{sealed::HighWaterMarks, *};
+use mavseal_store::{
+    Region,
+    model::{Failure, Flash, PAGE_SIZE},
+};
+use std::cell::{Cell, RefCell};
+use std::rc::Rc;
+const REGION: Region = Region {
+    start: 0,
+    page_size: PAGE_SIZE as u32,
+};
+const NOW: u64 = 37_555_200_000_000;
+const S: u64 = TICKS_PER_SECOND;
+const DAY: u64 = 24 * 3600 * S;
+const KEY: [u8; 32] = [1; 32];
+fn at(t: u64) -> Timestamp {
+    Timestamp::from_ticks(t).unwrap()
+}
+fn header(sys: u8) -> Header {
+    Header {
+        compat_flags: 0,
+        sequence: 0,
+        system_id: sys,
+        component_id: 1,
+        message_id: MessageId::from(0),
+    }
+}
+fn signed<P: Profile>(key: &[u8; 32], sys: u8, link_id: u8, ticks: u64) -> Frame {
+    let mut f = Frame::new(header(sys), &[5, 0, 0, 0, 2, 3, 81, 4, 3]).unwrap();
+    sign_frame(
+        &mut f,
+        &SigningKey::<P>::new(key).unwrap(),
+        Stamp {
+            link_id,
+            timestamp: at(ticks),
+        },
+    )
+    .unwrap();
+    f
+}
+#[derive(Clone)]
+struct Shared(Rc<RefCell<Flash<2>>>);
+impl Shared {
+    fn new(chance: u64) -> Self {
+        Self(Rc::new(RefCell::new(Flash::new(chance))))
+    }
+}
+impl ErrorType for Shared {
+    type Error = Failure;
+}
+impl ReadNorFlash for Shared {
+    const READ_SIZE: usize = 1;
+    fn read(&mut self, o: u32, b: &mut [u8]) -> Result<(), Failure> {
+        self.0.borrow_mut().read(o, b)
+    }
+    fn capacity(&self) -> usize {
+        2 * PAGE_SIZE
+    }
+}
+impl NorFlash for Shared {
+    const WRITE_SIZE: usize = 8;
+    const ERASE_SIZE: usize = PAGE_SIZE;
+    fn erase(&mut self, a: u32, b: u32) -> Result<(), Failure> {
+        self.0.borrow_mut().erase(a, b)
+    }
+    fn write(&mut self, o: u32, b: &[u8]) -> Result<(), Failure> {
+        self.0.borrow_mut().write(o, b)
+    }
+}
+fn hear<P: Profile, R: AntiReplay>(
+    relay: &mut Relay<P, R>,
+    clock: &mut impl LinkClock,
+    f: &Frame,
+) -> Result<(), RejectReason> {
+    let mut r = Err(RejectReason::Other);
+    relay.received(Side::Link, f.as_bytes(), clock, &mut |e| match e {
+        Event::Passed(_) => r = Ok(()),
+        Event::Rejected(_, w) => r = Err(w),
+        _ => {}
+    });
+    let n = relay.pending(Side::Local).len();
+    relay.sent(Side::Local, n, clock, &mut |_| {});
+    r
+}
+
+/// A new member of a fleet whose key is older than a year. The first frame it hears is a recording of then.
+#[test]
+fn an_old_recording_does_not_lock_a_new_board() {
+    let today = NOW + 500 * DAY;
+    let timer = Cell::new(1000u64);
+    let stores = [Shared::new(1), Shared::new(2), Shared::new(3)];
+    let flash = || LinkFlash {
+        keys: stores[0].clone(),
+        marks: [stores[1].clone(), stores[2].clone()],
+        region: REGION,
+    };
+    let mut lost = vec![];
+    for start in 0..5u64 {
+        let (keys, mut m) =
+            LinkMemory::open::<Hmac>(flash(), FirstKey::Own(&KEY), || timer.get()).unwrap();
+        let mut r = Relay::new(
+            keys,
+            Stamper::new(1),
+            ReplayGuard::new(2, Window::ONE_MINUTE),
+            ForwardMode::KeepSignature,
+        )
+        .unwrap();
+        if start == 0 {
+            assert_eq!(
+                hear(&mut r, &mut m.clock, &signed::<Hmac>(&KEY, 255, 2, NOW)),
+                Ok(())
+            );
+        }
+        for hour in 0..48 {
+            timer.set(timer.get() + 3600 * S);
+            let day = today + start * 2 * DAY + hour * 3600 * S;
+            lost.push(hear(
+                &mut r,
+                &mut m.clock,
+                &signed::<Hmac>(&KEY, 255, 2, day),
+            ));
+        }
+    }
+    println!(
+        "honest frames over 10 days and 4 restarts: {} of {} accepted, last {:?}",
+        lost.iter().filter(|r| r.is_ok()).count(),
+        lost.len(),
+        lost.last()
+    );
+    assert!(lost.iter().any(Result::is_ok));
+}
+
+/// Marks of a sealed end in swapped places, provisioned "again".
+#[test]
+fn swapped_marks_are_not_provisioned_again() {
+    let own = || Credential {
+        id: SenderId(1),
+        key: [1; 16],
+        salt: 11,
+    };
+    let peer = || Credential {
+        id: SenderId(2),
+        key: [2; 16],
+        salt: 12,
+    };
+    let (a, b) = (Shared::new(1), Shared::new(2));
+    let marks = HighWaterMarks::provision::<AesGcm>(
+        &own(),
+        &[peer()],
+        (a.clone(), REGION),
+        [(b.clone(), REGION)],
+    )
+    .unwrap();
+    let mut end = sealed::SealedEndpoint::<_, 1>::new(
+        &own(),
+        &[peer()],
+        marks,
+        sealed::Radio::Station,
+        std::time::Duration::ZERO,
+    )
+    .unwrap();
+    let mut used = vec![];
+    let mut clock = at(NOW);
+    end.poll(&mut clock, &mut |_| {});
+    for _ in 0..3 {
+        let f = Frame::new(header(1), &[5, 0, 0, 0, 2, 3, 81, 4, 3]).unwrap();
+        end.received(Side::Local, f.as_bytes(), &mut clock, &mut |e| {
+            if let sealed::SealedEvent::Sealed(c) = e {
+                used.push(c)
+            }
+        });
+        while !end.pending(Side::Link).is_empty() {
+            let n = end.pending(Side::Link).len();
+            end.sent(Side::Link, n, &mut clock, &mut |e| {
+                if let sealed::SealedEvent::Sealed(c) = e {
+                    used.push(c)
+                }
+            });
+        }
+    }
+    drop(end);
+    println!(
+        "used {used:?}; in place: {:?}",
+        HighWaterMarks::provision::<AesGcm>(
+            &own(),
+            &[peer()],
+            (a.clone(), REGION),
+            [(b.clone(), REGION)]
+        )
+        .err()
+    );
+    println!(
+        "swapped, opened: {:?}",
+        HighWaterMarks::open::<AesGcm>(
+            &own(),
+            &[peer()],
+            (b.clone(), REGION),
+            [(a.clone(), REGION)]
+        )
+        .err()
+    );
+    let again = HighWaterMarks::provision::<AesGcm>(
+        &own(),
+        &[peer()],
+        (b.clone(), REGION),
+        [(a.clone(), REGION)],
+    );
+    println!("swapped, provisioned: {:?}", again.as_ref().err());
+    if let Ok(marks) = again {
+        let end = sealed::SealedEndpoint::<_, 1>::new(
+            &own(),
+            &[peer()],
+            marks,
+            sealed::Radio::Station,
+            std::time::Duration::ZERO,
+        )
+        .unwrap();
+        panic!(
+            "next counter {:?} after {used:?}: nonces twice",
+            end.next_counter()
+        );
+    }
+}
