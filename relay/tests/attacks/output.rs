@@ -1,20 +1,17 @@
-//! Attacks on the local side by holding up what goes out: deafness begins when a fault is found, not when it came in.
+//! What goes out is held up: deafness begins when a fault is found, not when it came in.
+
+use std::time::Duration;
+
 use mavlink_commsec::{AesGcm, Credential, SenderId};
 use mavlink_signing::*;
 use mavseal_relay::{
     sealed::{HighWaterMarks, Radio, SealedEndpoint},
     *,
 };
-use mavseal_store::{
-    Region,
-    model::{Flash, PAGE_SIZE},
-};
-use std::time::Duration;
+use mavseal_store::model::Flash;
 
-const NOW: u64 = 37_555_200_000_000;
-fn at(t: u64) -> Timestamp {
-    Timestamp::from_ticks(t).unwrap()
-}
+use crate::common::*;
+
 fn frame(id: u32, payload: &[u8]) -> Vec<u8> {
     let header = Header {
         compat_flags: 0,
@@ -164,10 +161,7 @@ fn signer_blocked_then_link_closed() {
 #[test]
 fn sealed_blocked() {
     let inner = frame(0, &[5, 0, 0, 0, 2, 3, 81, 4, 3]);
-    let region = Region {
-        start: 0,
-        page_size: PAGE_SIZE as u32,
-    };
+    let region = REGION;
     let own = Credential {
         id: SenderId(1),
         key: [1; 16],

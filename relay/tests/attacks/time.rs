@@ -1,41 +1,15 @@
 //! Recordings of other streams do not pull a clock back that nobody has told the time.
+
+use std::cell::Cell;
+
 use mavlink_signing::*;
 use mavseal_relay::*;
-use mavseal_store::{
-    Region,
-    model::{Flash, PAGE_SIZE},
-};
-use std::cell::Cell;
-const REGION: Region = Region {
-    start: 0,
-    page_size: PAGE_SIZE as u32,
-};
-const NOW: u64 = 37_555_200_000_000;
-const S: u64 = TICKS_PER_SECOND;
+use mavseal_store::model::Flash;
+
+use crate::common::*;
+
 const KEY: [u8; 32] = [1; 32];
-fn at(t: u64) -> Timestamp {
-    Timestamp::from_ticks(t).unwrap()
-}
-fn signed(sys: u8, link_id: u8, ticks: u64) -> Frame {
-    let h = Header {
-        compat_flags: 0,
-        sequence: 0,
-        system_id: sys,
-        component_id: 1,
-        message_id: MessageId::from(0),
-    };
-    let mut f = Frame::new(h, &[5, 0, 0, 0, 2, 3, 81, 4, 3]).unwrap();
-    sign_frame(
-        &mut f,
-        &SigningKey::<Standard>::new(&KEY).unwrap(),
-        Stamp {
-            link_id,
-            timestamp: at(ticks),
-        },
-    )
-    .unwrap();
-    f
-}
+
 /// The attacker has no key and jams nothing. He has recorded another vehicle an hour ago, which this end never heard.
 #[test]
 fn recordings_do_not_pull_an_unsynced_clock_back() {
@@ -68,10 +42,13 @@ fn recordings_do_not_pull_an_unsynced_clock_back() {
                 r.sent(Side::Local, n, &mut m.clock, &mut |_| {});
                 n > 0
             };
-            assert!(hear(&mut r, signed(255, 0, now)), "the station is heard");
+            assert!(
+                hear(&mut r, signed::<Standard>(&KEY, 255, 0, now)),
+                "the station is heard"
+            );
             if attacked {
                 assert!(
-                    hear(&mut r, signed(7, 3, now - 3600 * S)),
+                    hear(&mut r, signed::<Standard>(&KEY, 7, 3, now - 3600 * S)),
                     "the recording is accepted"
                 );
             }

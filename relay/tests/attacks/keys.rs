@@ -1,48 +1,17 @@
-//! Attacks on keys that change: records that come back, keys that are taken back, former keys, cuts in a row.
-use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+//! Keys that change: records that come back, keys that are taken back, former keys, cuts in a row.
+
+use std::cell::Cell;
+
 use mavlink_signing::*;
 use mavseal_relay::*;
-use mavseal_store::{
-    Region,
-    model::{Failure, Flash, PAGE_SIZE},
-};
-use std::cell::{Cell, RefCell};
-use std::rc::Rc;
+use mavseal_store::model::Flash;
 
-const REGION: Region = Region {
-    start: 0,
-    page_size: PAGE_SIZE as u32,
-};
-const NOW: u64 = 37_555_200_000_000;
-const S: u64 = TICKS_PER_SECOND;
+use crate::common::*;
+
 const K1: [u8; 32] = [1; 32];
 const K2: [u8; 32] = [2; 32];
 const K3: [u8; 32] = [3; 32];
-fn at(t: u64) -> Timestamp {
-    Timestamp::from_ticks(t).unwrap()
-}
-fn header(sys: u8) -> Header {
-    Header {
-        compat_flags: 0,
-        sequence: 0,
-        system_id: sys,
-        component_id: 1,
-        message_id: MessageId::from(0),
-    }
-}
-fn signed_by(key: &[u8; 32], sys: u8, link_id: u8, ticks: u64) -> Frame {
-    let mut f = Frame::new(header(sys), &[5, 0, 0, 0, 2, 3, 81, 4, 3]).unwrap();
-    sign_frame(
-        &mut f,
-        &SigningKey::<Hmac>::new(key).unwrap(),
-        Stamp {
-            link_id,
-            timestamp: at(ticks),
-        },
-    )
-    .unwrap();
-    f
-}
+
 fn setup(key: [u8; 32], initial: u64) -> SetupSigning {
     SetupSigning {
         target_system: 1,
@@ -51,36 +20,7 @@ fn setup(key: [u8; 32], initial: u64) -> SetupSigning {
         initial_timestamp: at(initial),
     }
 }
-/// A flash that can be kept while somebody uses it.
-#[derive(Clone)]
-struct Shared(Rc<RefCell<Flash<2>>>);
-impl Shared {
-    fn new(chance: u64) -> Self {
-        Self(Rc::new(RefCell::new(Flash::new(chance))))
-    }
-}
-impl ErrorType for Shared {
-    type Error = Failure;
-}
-impl ReadNorFlash for Shared {
-    const READ_SIZE: usize = 1;
-    fn read(&mut self, o: u32, b: &mut [u8]) -> Result<(), Failure> {
-        self.0.borrow_mut().read(o, b)
-    }
-    fn capacity(&self) -> usize {
-        2 * PAGE_SIZE
-    }
-}
-impl NorFlash for Shared {
-    const WRITE_SIZE: usize = 8;
-    const ERASE_SIZE: usize = PAGE_SIZE;
-    fn erase(&mut self, a: u32, b: u32) -> Result<(), Failure> {
-        self.0.borrow_mut().erase(a, b)
-    }
-    fn write(&mut self, o: u32, b: &[u8]) -> Result<(), Failure> {
-        self.0.borrow_mut().write(o, b)
-    }
-}
+
 type R = Relay<Hmac, ReplayGuard>;
 fn relay(keys: KeyRing<Hmac>) -> R {
     Relay::new(
@@ -105,17 +45,6 @@ fn send(relay: &mut R, clock: &mut impl LinkClock, sys: u8) -> Option<u64> {
             .timestamp
             .ticks(),
     )
-}
-fn hear(relay: &mut R, clock: &mut impl LinkClock, f: &Frame) -> Result<(), RejectReason> {
-    let mut r = Err(RejectReason::Other);
-    relay.received(Side::Link, f.as_bytes(), clock, &mut |e| match e {
-        Event::Passed(_) => r = Ok(()),
-        Event::Rejected(_, w) => r = Err(w),
-        _ => {}
-    });
-    let n = relay.pending(Side::Local).len();
-    relay.sent(Side::Local, n, clock, &mut |_| {});
-    r
 }
 
 /// A replacement (withdraw) is cut; the next start does not see what it left, goes on with the old state, and the start
@@ -145,7 +74,7 @@ fn a_record_that_comes_back_withdraws_no_key() {
                 continue;
             }
             // The peer is heard with the new key: confirmed, and stored. The peer retires the old key.
-            let f = signed_by(&K2, 255, 2, NOW);
+            let f = signed::<Hmac>(&K2, 255, 2, NOW);
             let v = ReplayGuard::new(2, Window::ONE_MINUTE)
                 .admit(
                     keys.authenticate(FrameRef::parse(f.as_bytes()).unwrap())
@@ -258,7 +187,7 @@ fn no_stamp_twice_after_a_change_was_taken_back() {
             timer.set(timer.get() + S);
             used.push(send(&mut relay, &mut m.clock, 1).unwrap());
         }
-        let peer = signed_by(&K2, 255, 2, NOW + 4 * S);
+        let peer = signed::<Hmac>(&K2, 255, 2, NOW + 4 * S);
         // not heard in time to confirm: nothing accepted
         relay
             .apply_setup(&setup(K1, NOW + 6 * S), &mut m.clock, &mut m.store)
@@ -290,7 +219,7 @@ fn no_replay_after_a_change_was_taken_back() {
     let (mut r, mut m) = memory(&timer, FirstKey::Own(&K1));
     let once = setup(K2, NOW);
     r.apply_setup(&once, &mut m.clock, &mut m.store).unwrap();
-    let f = signed_by(&K2, 255, 2, NOW + S);
+    let f = signed::<Hmac>(&K2, 255, 2, NOW + S);
     assert_eq!(hear(&mut r, &mut m.clock, &f), Ok(()));
     // Power fails before `confirm_key` was called: `heard` is in memory alone.
     let LinkMemory { store, clock } = m;
@@ -315,7 +244,7 @@ fn no_replay_after_a_change_was_taken_back() {
 fn a_key_that_is_provisioned_again_goes_on() {
     let timer = Cell::new(1000);
     let (mut r, mut m) = memory(&timer, FirstKey::Own(&K1));
-    let f = signed_by(&K1, 255, 2, NOW);
+    let f = signed::<Hmac>(&K1, 255, 2, NOW);
     assert_eq!(hear(&mut r, &mut m.clock, &f), Ok(()));
     let used = send(&mut r, &mut m.clock, 1).unwrap();
     let LinkMemory { store, clock } = m;
@@ -358,7 +287,7 @@ fn proof_with_an_old_key_ends_with_it() {
     let (mut r, mut m) = memory(&timer, FirstKey::Own(&K1));
     r.keep_setup(1, 25);
     let mut o = |_| {};
-    hear(&mut r, &mut m.clock, &signed_by(&K1, 255, 2, NOW)).unwrap();
+    hear(&mut r, &mut m.clock, &signed::<Hmac>(&K1, 255, 2, NOW)).unwrap();
     let mut other = setup(K3, NOW);
     other.target_system = 77;
     r.received(
@@ -371,7 +300,12 @@ fn proof_with_an_old_key_ends_with_it() {
     // A new key, by presence; confirmed and retired.
     r.apply_setup(&setup(K2, NOW + 10 * S), &mut m.clock, &mut m.store)
         .unwrap();
-    hear(&mut r, &mut m.clock, &signed_by(&K2, 255, 2, NOW + 11 * S)).unwrap();
+    hear(
+        &mut r,
+        &mut m.clock,
+        &signed::<Hmac>(&K2, 255, 2, NOW + 11 * S),
+    )
+    .unwrap();
     r.confirm_key(&mut m.store).unwrap();
     r.retire_key(&mut m.store).unwrap();
     let mut why = vec![];
@@ -406,16 +340,20 @@ fn proof_with_an_old_key_ends_with_it() {
 fn an_old_key_moves_no_end_for_good() {
     let timer = Cell::new(1000);
     let (mut r, mut m) = memory(&timer, FirstKey::Own(&K1));
-    hear(&mut r, &mut m.clock, &signed_by(&K1, 1, 2, NOW)).unwrap();
+    hear(&mut r, &mut m.clock, &signed::<Hmac>(&K1, 1, 2, NOW)).unwrap();
     r.offer_key(&K2, at(NOW + S), &mut m.clock, &mut m.store)
         .unwrap();
     let attack = hear(
         &mut r,
         &mut m.clock,
-        &signed_by(&K1, 1, 2, NOW + 364 * 24 * 3600 * S),
+        &signed::<Hmac>(&K1, 1, 2, NOW + 364 * 24 * 3600 * S),
     );
     // The vehicle has taken it, and is heard with it.
-    let honest = hear(&mut r, &mut m.clock, &signed_by(&K2, 1, 2, NOW + 5 * S));
+    let honest = hear(
+        &mut r,
+        &mut m.clock,
+        &signed::<Hmac>(&K2, 1, 2, NOW + 5 * S),
+    );
     r.confirm_key(&mut m.store).unwrap();
     r.retire_key(&mut m.store).unwrap();
     let stamp = send(&mut r, &mut m.clock, 255).unwrap();
@@ -430,14 +368,18 @@ fn an_old_key_moves_no_end_for_good() {
 fn an_old_key_moves_nothing_once_the_new_one_was_heard() {
     let timer = Cell::new(1000);
     let (mut r, mut m) = memory(&timer, FirstKey::Own(&K1));
-    hear(&mut r, &mut m.clock, &signed_by(&K1, 1, 2, NOW)).unwrap();
+    hear(&mut r, &mut m.clock, &signed::<Hmac>(&K1, 1, 2, NOW)).unwrap();
     r.offer_key(&K2, at(NOW + S), &mut m.clock, &mut m.store)
         .unwrap();
-    let honest = hear(&mut r, &mut m.clock, &signed_by(&K2, 1, 2, NOW + 5 * S));
+    let honest = hear(
+        &mut r,
+        &mut m.clock,
+        &signed::<Hmac>(&K2, 1, 2, NOW + 5 * S),
+    );
     let attack = hear(
         &mut r,
         &mut m.clock,
-        &signed_by(&K1, 1, 2, NOW + 364 * 24 * 3600 * S),
+        &signed::<Hmac>(&K1, 1, 2, NOW + 364 * 24 * 3600 * S),
     );
     r.confirm_key(&mut m.store).unwrap();
     let stamp = send(&mut r, &mut m.clock, 255).unwrap();
@@ -446,7 +388,12 @@ fn an_old_key_moves_nothing_once_the_new_one_was_heard() {
         (stamp.saturating_sub(NOW)) / (24 * 3600 * S)
     );
     // From now on, for ever with this key: the stamper does not go back.
-    hear(&mut r, &mut m.clock, &signed_by(&K2, 1, 2, NOW + 9 * S)).unwrap();
+    hear(
+        &mut r,
+        &mut m.clock,
+        &signed::<Hmac>(&K2, 1, 2, NOW + 9 * S),
+    )
+    .unwrap();
     let stamp = send(&mut r, &mut m.clock, 255).unwrap();
     assert!(
         stamp < NOW + 60 * S,

@@ -1,91 +1,15 @@
-//! Attacks without the key on what a device remembers: old recordings, marks in swapped places.
-use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+//! What a device remembers: old recordings, marks in swapped places.
+
+use std::cell::Cell;
+
 use mavlink_commsec::{AesGcm, Credential, SenderId};
 use mavlink_signing::*;
 use mavseal_relay::{sealed::HighWaterMarks, *};
-use mavseal_store::{
-    Region,
-    model::{Failure, Flash, PAGE_SIZE},
-};
-use std::cell::{Cell, RefCell};
-use std::rc::Rc;
-const REGION: Region = Region {
-    start: 0,
-    page_size: PAGE_SIZE as u32,
-};
-const NOW: u64 = 37_555_200_000_000;
-const S: u64 = TICKS_PER_SECOND;
+
+use crate::common::*;
+
 const DAY: u64 = 24 * 3600 * S;
 const KEY: [u8; 32] = [1; 32];
-fn at(t: u64) -> Timestamp {
-    Timestamp::from_ticks(t).unwrap()
-}
-fn header(sys: u8) -> Header {
-    Header {
-        compat_flags: 0,
-        sequence: 0,
-        system_id: sys,
-        component_id: 1,
-        message_id: MessageId::from(0),
-    }
-}
-fn signed<P: Profile>(key: &[u8; 32], sys: u8, link_id: u8, ticks: u64) -> Frame {
-    let mut f = Frame::new(header(sys), &[5, 0, 0, 0, 2, 3, 81, 4, 3]).unwrap();
-    sign_frame(
-        &mut f,
-        &SigningKey::<P>::new(key).unwrap(),
-        Stamp {
-            link_id,
-            timestamp: at(ticks),
-        },
-    )
-    .unwrap();
-    f
-}
-#[derive(Clone)]
-struct Shared(Rc<RefCell<Flash<2>>>);
-impl Shared {
-    fn new(chance: u64) -> Self {
-        Self(Rc::new(RefCell::new(Flash::new(chance))))
-    }
-}
-impl ErrorType for Shared {
-    type Error = Failure;
-}
-impl ReadNorFlash for Shared {
-    const READ_SIZE: usize = 1;
-    fn read(&mut self, o: u32, b: &mut [u8]) -> Result<(), Failure> {
-        self.0.borrow_mut().read(o, b)
-    }
-    fn capacity(&self) -> usize {
-        2 * PAGE_SIZE
-    }
-}
-impl NorFlash for Shared {
-    const WRITE_SIZE: usize = 8;
-    const ERASE_SIZE: usize = PAGE_SIZE;
-    fn erase(&mut self, a: u32, b: u32) -> Result<(), Failure> {
-        self.0.borrow_mut().erase(a, b)
-    }
-    fn write(&mut self, o: u32, b: &[u8]) -> Result<(), Failure> {
-        self.0.borrow_mut().write(o, b)
-    }
-}
-fn hear<P: Profile, R: AntiReplay>(
-    relay: &mut Relay<P, R>,
-    clock: &mut impl LinkClock,
-    f: &Frame,
-) -> Result<(), RejectReason> {
-    let mut r = Err(RejectReason::Other);
-    relay.received(Side::Link, f.as_bytes(), clock, &mut |e| match e {
-        Event::Passed(_) => r = Ok(()),
-        Event::Rejected(_, w) => r = Err(w),
-        _ => {}
-    });
-    let n = relay.pending(Side::Local).len();
-    relay.sent(Side::Local, n, clock, &mut |_| {});
-    r
-}
 
 /// A new member of a fleet whose key is older than a year. The first frame it hears is a recording of then.
 #[test]
