@@ -4,7 +4,9 @@ use core::fmt;
 
 use embedded_storage::nor_flash::NorFlash;
 use mavlink_signing::{KEY_SIZE, KeyChangeError, KeyRing, Profile};
-use mavseal_store::{Binding, HighWaterMark, MarkError, OpenError, ProvisionError, Region};
+use mavseal_store::{
+    Binding, Contents, Journal, MARK_SIZE, MarkError, OpenError, ProvisionError, Region,
+};
 
 use crate::key_store::FlashKeyStore;
 use crate::persistent_clock::PersistentClock;
@@ -80,12 +82,9 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkMemory<F, T> {
             None if !store.is_empty() => return Err(LinkMemoryError::KeysUnreadable),
             None => {
                 // A mark without keys: they were in use, and are lost.
-                for flash in &mut marks {
-                    let none = HighWaterMark::open(flash, region, Binding::new(0, [0; 4])).err();
-                    if none != Some(MarkError::NotProvisioned) {
-                        return Err(LinkMemoryError::KeysLost);
-                    }
-                }
+                let [a, b] = marks;
+                let (a, b) = (unused(a, region)?, unused(b, region)?);
+                marks = [a, b];
                 match first {
                     FirstKey::None => return Err(LinkMemoryError::NoKey),
                     FirstKey::Own(key) => store.provision(key)?,
@@ -122,6 +121,16 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkMemory<F, T> {
         let in_use = store.set_in_use();
         in_use.map_err(|_| LinkMemoryError::NotStored)?;
         Ok((keys, Self { store, clock }))
+    }
+}
+
+/// That a flash for marks was never used. It is handed back, so that all code exists for one type of it.
+fn unused<F: NorFlash>(flash: F, region: Region) -> Result<F, LinkMemoryError> {
+    let (journal, contents) =
+        Journal::<F, MARK_SIZE>::open(flash, region, Binding::new(0, [0; 4]))?;
+    match contents {
+        Contents::Blank | Contents::Interrupted => Ok(journal.into_flash()),
+        _ => Err(LinkMemoryError::KeysLost),
     }
 }
 

@@ -7,7 +7,9 @@ use mavlink_signing::{
     Clock, Fingerprint, KeyRing, KeySlot, LinkClock, NotStored, Profile, RESERVATION, SyncState,
     TICKS_PER_SECOND, TimeSource, Timestamp, Verified, Window,
 };
-use mavseal_store::{Binding, HighWaterMark, MarkError, ProvisionError, Region};
+use mavseal_store::{
+    Binding, Contents, HighWaterMark, Journal, MarkError, OpenError, ProvisionError, Region,
+};
 
 /// How far beyond the timestamps in use the first mark after a restart is stored: 10 milliseconds, in ticks
 /// of 10 microseconds. No end starts again as fast.
@@ -101,11 +103,15 @@ impl<F: NorFlash> KeyMark<F> {
     }
 }
 
-/// What the flash knows of a key that is provisioned again: it goes on there.
-fn known(flash: &mut impl NorFlash, region: Region, key: Fingerprint) -> Timestamp {
-    let mark = HighWaterMark::open(flash, region, binding(key));
-    let stored = mark.map_or(0, |mark| mark.get());
-    Timestamp::from_ticks(stored).unwrap_or(Timestamp::MAX)
+/// What the flash knows of a key that is provisioned again: it goes on there. The flash is handed back, so that all code
+/// exists for one type of it.
+fn known<F: NorFlash>(flash: F, region: Region, key: Fingerprint) -> Result<(F, u64), OpenError> {
+    let (journal, contents) = Journal::open(flash, region, binding(key))?;
+    let stored = match contents {
+        Contents::Record(mark) => u64::from_le_bytes(mark),
+        _ => 0,
+    };
+    Ok((journal.into_flash(), stored))
 }
 
 fn binding(key: Fingerprint) -> Binding {
@@ -154,12 +160,17 @@ impl<F: NorFlash, T: FnMut() -> u64> PersistentClock<F, T> {
     ) -> Result<Self, ProvisionError> {
         let [mut a, mut b] = flashes;
         // A key that was in use before goes on where it was, in whichever slot.
-        let first = |a: &mut F, b: &mut F, key| known(a, region, key).max(known(b, region, key));
-        let firsts = [KeySlot::A, KeySlot::B].map(|slot| {
-            let key = keys.key(slot)?.fingerprint();
-            Some((key, first(&mut a, &mut b, key).ticks()))
-        });
-        let mark = |flash, first: Option<(Fingerprint, u64)>| match first {
+        let mut firsts = [None; 2];
+        for (slot, first) in [KeySlot::A, KeySlot::B].into_iter().zip(&mut firsts) {
+            if let Some(key) = keys.key(slot) {
+                let key = key.fingerprint();
+                let (in_a, in_b);
+                (a, in_a) = known(a, region, key)?;
+                (b, in_b) = known(b, region, key)?;
+                *first = Some((key, in_a.max(in_b)));
+            }
+        }
+        let mark = |flash, first| match first {
             None => Ok(KeyMark::Unused(flash)),
             Some((key, first)) => {
                 let mark = HighWaterMark::provision(flash, region, binding(key), first)?;
@@ -301,12 +312,13 @@ impl<F: NorFlash, T: FnMut() -> u64> LinkClock for PersistentClock<F, T> {
             (false, false) => Timestamp::from_ticks(used).unwrap_or(Timestamp::MAX),
         };
         let mark = slot.of_mut(&mut self.marks);
-        let mut flash = match mem::replace(mark, KeyMark::Failed) {
+        let flash = match mem::replace(mark, KeyMark::Failed) {
             KeyMark::Unused(flash) => flash,
             KeyMark::Of(mark, _) => mark.into_flash(),
             KeyMark::Failed => return Err(NotStored),
         };
-        let first = first.max(known(&mut flash, self.region, key));
+        let (flash, stored) = known(flash, self.region, key).map_err(|_| NotStored)?;
+        let first = first.max(Timestamp::from_ticks(stored).unwrap_or(Timestamp::MAX));
         let begun = HighWaterMark::provision(flash, self.region, binding(key), first.ticks());
         *mark = KeyMark::Of(begun.map_err(|_| NotStored)?, first.ticks());
         self.newest = slot;

@@ -227,8 +227,9 @@ impl Node {
         }
     }
 
-    /// From now on the power holds.
+    /// From now on the power holds, and what goes out is taken.
     pub(super) fn mend(&mut self) {
+        self.held_until = 0;
         self.fails();
         self.flash.borrow_mut().restart();
     }
