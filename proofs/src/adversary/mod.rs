@@ -641,7 +641,7 @@ mod tests {
 
     #[test]
     fn d_histories() {
-        histories(300);
+        histories(1_000);
     }
 
     #[test]
