@@ -52,16 +52,17 @@ pub fn never_a_packet(packets: &[Vec<u8>], arrival: &Arrival, damage: Option<&Da
     };
     assert_eq!(found, line.decode(&without), "a pause changed something");
     let mut sent = packets.iter();
+    let mut misread = false;
     for (number, packet) in found.iter().enumerate() {
-        if sent.any(|sent| sent == packet) {
-            continue;
-        }
-        // It fits what was damaged. Where packets begin behind it is not known any more.
-        let misread = place.is_some_and(|[from, to]| {
+        // It fits what was damaged, even if one like it was sent. Where packets begin behind it is not known any more.
+        misread |= place.is_some_and(|[from, to]| {
             let windows = line.bytes.windows(packet.len()).enumerate();
             let mut same = windows.filter(|(_, window)| window == packet);
             same.any(|(at, _)| at < to.max(from + 1) && from < at + packet.len())
         });
+        if sent.any(|sent| sent == packet) {
+            continue;
+        }
         assert!(misread, "no packet was sent like {packet:02x?}");
         assert!(damage.is_some_and(|damage| !damage.reported));
         return number;
