@@ -177,7 +177,7 @@ pub fn follows_a_clock(first: u32, clock: u32) {
 }
 
 /// Seals `messages`, and compares with what must come out, from counter `first` on.
-#[allow(
+#[expect(
     clippy::too_many_arguments,
     reason = "each is a part of the nonce, or what is sealed"
 )]

@@ -1,7 +1,7 @@
 //! The in-line signer over TCP, with an unmodified rust-mavlink on both sides of it.
 
 #[path = "../examples/tcp.rs"]
-#[allow(dead_code, reason = "its `main` is the example's")]
+#[expect(dead_code, reason = "its `main` is the example's")]
 mod tcp;
 
 use std::{

@@ -22,6 +22,16 @@ fn frame(id: u32, payload: &[u8]) -> Vec<u8> {
     };
     Frame::new(header, payload).unwrap().as_bytes().to_vec()
 }
+fn relay() -> Relay<Hmac, ReplayGuard> {
+    Relay::new(
+        SigningKey::new(&[7; 32]).unwrap(),
+        Stamper::new(1),
+        ReplayGuard::new(2, Window::ONE_MINUTE),
+        ForwardMode::StripSignature,
+    )
+    .unwrap()
+}
+
 /// A stream: a heartbeat, a packet with an unknown message id, and a long honest packet in whose payload `inner` lies.
 fn stream(inner: &[u8]) -> (Vec<u8>, Vec<u8>) {
     let heartbeat = frame(0, &[5, 0, 0, 0, 2, 3, 81, 4, 3]);
@@ -52,14 +62,7 @@ fn signer(blocked_for: u64, repeat_offers: bool) -> Vec<u8> {
         ],
     );
     let (heartbeat, rest) = stream(&inner);
-    let key = SigningKey::<Hmac>::new(&[7; 32]).unwrap();
-    let mut relay = Relay::new(
-        key,
-        Stamper::new(1),
-        ReplayGuard::new(2, Window::ONE_MINUTE),
-        ForwardMode::StripSignature,
-    )
-    .unwrap();
+    let mut relay = relay();
     let mut o = |_| {};
     let mut clock = at(NOW);
     assert_eq!(
@@ -113,14 +116,7 @@ fn setup_in_payload_taken_while_presence() {
     };
     let inner = inner_setup.to_frame(header).unwrap().as_bytes().to_vec();
     let (heartbeat, rest) = stream(&inner);
-    let key = SigningKey::<Hmac>::new(&[7; 32]).unwrap();
-    let mut relay = Relay::new(
-        key,
-        Stamper::new(1),
-        ReplayGuard::new(2, Window::ONE_MINUTE),
-        ForwardMode::StripSignature,
-    )
-    .unwrap();
+    let mut relay = relay();
     relay.keep_setup(1, 25);
     relay.set_presence(Presence::Shown);
     let mut o = |_| {};
@@ -141,14 +137,7 @@ fn setup_in_payload_taken_while_presence() {
 fn signer_blocked_then_link_closed() {
     let inner = frame(76, &[1; 33]);
     let (heartbeat, rest) = stream(&inner);
-    let key = SigningKey::<Hmac>::new(&[7; 32]).unwrap();
-    let mut relay = Relay::new(
-        key,
-        Stamper::new(1),
-        ReplayGuard::new(2, Window::ONE_MINUTE),
-        ForwardMode::StripSignature,
-    )
-    .unwrap();
+    let mut relay = relay();
     let mut o = |_| {};
     let mut clock = at(NOW);
     relay.received(Side::Local, &heartbeat, &mut clock, &mut o);

@@ -18,7 +18,7 @@ fn some_wrong_tags_are_rejected_in_constant_time() -> Result<()> {
 
 /// The same for every value of every byte of a tag: 3,060 wrong tags for each image.
 #[test]
-#[ignore = "takes minutes"]
+#[ignore = "minutes of emulation; `cargo xtask test --all` runs it"]
 fn every_wrong_tag_is_rejected_in_constant_time() -> Result<()> {
     all_images(&Vec::from_iter(1..=u8::MAX))
 }
