@@ -3,6 +3,7 @@
 use std::{cell::RefCell, rc::Rc};
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
+use mavlink_commsec::{Credential, SenderId};
 use mavlink_signing::{
     AntiReplay, Frame, Header, LinkClock, MessageId, Profile, SigningKey, Stamp, TICKS_PER_SECOND,
     Timestamp, sign_frame,
@@ -19,6 +20,15 @@ pub(crate) const REGION: Region = Region {
 };
 pub(crate) const NOW: u64 = 37_555_200_000_000;
 pub(crate) const S: u64 = TICKS_PER_SECOND;
+
+/// The two ends of a sealed link.
+pub(crate) fn credentials() -> [Credential; 2] {
+    [1, 2].map(|number| Credential {
+        id: SenderId(number),
+        key: [number as u8; 16],
+        salt: 10 + number,
+    })
+}
 
 pub(crate) fn at(ticks: u64) -> Timestamp {
     Timestamp::from_ticks(ticks).expect("48 bits")

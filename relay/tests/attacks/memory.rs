@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use mavlink_commsec::{AesGcm, Credential, SenderId};
+use mavlink_commsec::AesGcm;
 use mavlink_signing::*;
 use mavseal_relay::{sealed::HighWaterMarks, *};
 
@@ -61,27 +61,17 @@ fn an_old_recording_does_not_lock_a_new_board() {
 /// Marks of a sealed end in swapped places, provisioned "again".
 #[test]
 fn swapped_marks_are_not_provisioned_again() {
-    let own = || Credential {
-        id: SenderId(1),
-        key: [1; 16],
-        salt: 11,
-    };
-    let peer = || Credential {
-        id: SenderId(2),
-        key: [2; 16],
-        salt: 12,
-    };
+    let [own, peer] = credentials();
+    let peers = [peer];
     let (a, b) = (Shared::new(1), Shared::new(2));
-    let marks = HighWaterMarks::provision::<AesGcm>(
-        &own(),
-        &[peer()],
-        (a.clone(), REGION),
-        [(b.clone(), REGION)],
-    )
-    .unwrap();
+    let provision = |sent: &Shared, accepted: &Shared| {
+        let accepted = [(accepted.clone(), REGION)];
+        HighWaterMarks::provision::<AesGcm>(&own, &peers, (sent.clone(), REGION), accepted)
+    };
+    let marks = provision(&a, &b).unwrap();
     let mut end = sealed::SealedEndpoint::<_, 1>::new(
-        &own(),
-        &[peer()],
+        &own,
+        &peers,
         marks,
         sealed::Radio::Station,
         std::time::Duration::ZERO,
@@ -107,37 +97,18 @@ fn swapped_marks_are_not_provisioned_again() {
         }
     }
     drop(end);
-    println!(
-        "used {used:?}; in place: {:?}",
-        HighWaterMarks::provision::<AesGcm>(
-            &own(),
-            &[peer()],
-            (a.clone(), REGION),
-            [(b.clone(), REGION)]
-        )
-        .err()
-    );
+    println!("used {used:?}; in place: {:?}", provision(&a, &b).err());
     println!(
         "swapped, opened: {:?}",
-        HighWaterMarks::open::<AesGcm>(
-            &own(),
-            &[peer()],
-            (b.clone(), REGION),
-            [(a.clone(), REGION)]
-        )
-        .err()
+        HighWaterMarks::open::<AesGcm>(&own, &peers, (b.clone(), REGION), [(a.clone(), REGION)])
+            .err()
     );
-    let again = HighWaterMarks::provision::<AesGcm>(
-        &own(),
-        &[peer()],
-        (b.clone(), REGION),
-        [(a.clone(), REGION)],
-    );
+    let again = provision(&b, &a);
     println!("swapped, provisioned: {:?}", again.as_ref().err());
     if let Ok(marks) = again {
         let end = sealed::SealedEndpoint::<_, 1>::new(
-            &own(),
-            &[peer()],
+            &own,
+            &peers,
             marks,
             sealed::Radio::Station,
             std::time::Duration::ZERO,

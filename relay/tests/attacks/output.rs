@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use mavlink_commsec::{AesGcm, Credential, SenderId};
+use mavlink_commsec::AesGcm;
 use mavlink_signing::*;
 use mavseal_relay::{
     sealed::{HighWaterMarks, Radio, SealedEndpoint},
@@ -151,26 +151,18 @@ fn signer_blocked_then_link_closed() {
 fn sealed_blocked() {
     let inner = frame(0, &[5, 0, 0, 0, 2, 3, 81, 4, 3]);
     let region = REGION;
-    let own = Credential {
-        id: SenderId(1),
-        key: [1; 16],
-        salt: 11,
-    };
-    let peer = || Credential {
-        id: SenderId(2),
-        key: [2; 16],
-        salt: 12,
-    };
+    let [own, peer] = credentials();
+    let peers = [peer];
     let marks = HighWaterMarks::provision::<AesGcm>(
         &own,
-        &[peer()],
+        &peers,
         (Flash::<2>::new(0), region),
         [(Flash::<2>::new(0), region)],
     )
     .unwrap();
     let mut end = SealedEndpoint::<_, 1>::new(
         &own,
-        &[peer()],
+        &peers,
         marks,
         Radio::Station,
         Duration::from_millis(50),
