@@ -102,6 +102,9 @@ cargo test --quiet --locked --release -p mavseal-proofs --lib d_100_000 -- --ign
 any two power cuts while the marks of a sealed link are provisioned
 cargo test --quiet --locked --release -p mavseal-relay --test sealed_marks -- --ignored
 
+packed crates by their own tests
+cargo test --quiet --locked -p xtask --test packages -- --ignored
+
 mutants of the cores
 cargo mutants --version || cargo install --locked cargo-mutants@27.1.0
 mkdir -p $RESULTS/cores $RESULTS/tables
@@ -120,7 +123,7 @@ cargo xtask interop
 #[derive(Args)]
 pub(crate) struct Options {
     /// Also what takes long or installs much: every wrong tag, 100,000 histories of whole devices, any two power
-    /// cuts, the mutants of the cores, and unmodified peers
+    /// cuts, packed crates, the mutants of the cores, and unmodified peers
     #[arg(long)]
     all: bool,
 }
